@@ -1,0 +1,1 @@
+//! Conjugate direction fields on surfaces.

@@ -1,0 +1,116 @@
+//! Sparse Cholesky factorization, its symbolic part reusable.
+
+use crate::error::Error;
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{MatMut, Side};
+use sprs::CsMat;
+
+/// Fill-reducing order and elimination structure of one sparsity pattern.
+///
+/// Worth keeping where many matrices with the same pattern are factorized, as in Gauss-Newton iterations.
+#[derive(Clone)]
+pub struct SymbolicCholesky {
+    inner: SymbolicLlt<usize>,
+    column_starts: Vec<usize>,
+    rows: Vec<usize>,
+}
+
+/// The factorization L L^T of a symmetric positive definite sparse matrix.
+#[derive(Clone)]
+pub struct Cholesky {
+    inner: Llt<usize, f64>,
+    size: usize,
+}
+
+impl SymbolicCholesky {
+    /// Analyses the pattern of `matrix`, n x n, symmetric, in CSC or CSR storage (only one triangle is read).
+    ///
+    /// # Errors
+    /// [`Error::Singular`] if the analysis runs out of memory or index range.
+    pub fn new(matrix: &CsMat<f64>) -> Result<Self, Error> {
+        let column_starts = matrix.indptr().to_proper().to_vec();
+        let rows = matrix.indices().to_vec();
+        let size = matrix.cols();
+        let pattern = SymbolicSparseColMatRef::new_checked(size, size, &column_starts, None, &rows);
+        let inner = SymbolicLlt::try_new(pattern, Side::Lower)
+            .map_err(|_| Error::Singular { what: "symbolic analysis", size })?;
+        Ok(Self { inner, column_starts, rows })
+    }
+
+    /// Factorizes `matrix`, which has the pattern that was analysed.
+    ///
+    /// `what` names the system in the error message.
+    ///
+    /// # Errors
+    /// [`Error::Singular`] if the matrix is not positive definite or has another pattern.
+    pub fn factorize(&self, matrix: &CsMat<f64>, what: &'static str) -> Result<Cholesky, Error> {
+        let size = matrix.cols();
+        if matrix.indptr().to_proper() != self.column_starts.as_slice() || matrix.indices() != self.rows.as_slice() {
+            return Err(Error::Singular { what, size });
+        }
+        let pattern = SymbolicSparseColMatRef::new_checked(size, size, &self.column_starts, None, &self.rows);
+        let view = SparseColMatRef::new(pattern, matrix.data());
+        let inner = Llt::try_new_with_symbolic(self.inner.clone(), view, Side::Lower)
+            .map_err(|_| Error::Singular { what, size })?;
+        Ok(Cholesky { inner, size })
+    }
+}
+
+impl Cholesky {
+    /// Analyses and factorizes in one go, for a matrix whose pattern occurs once.
+    ///
+    /// # Errors
+    /// [`Error::Singular`] if the matrix is not positive definite.
+    pub fn new(matrix: &CsMat<f64>, what: &'static str) -> Result<Self, Error> {
+        SymbolicCholesky::new(matrix)?.factorize(matrix, what)
+    }
+
+    /// Solves A X = B in place; `columns` holds the columns of B one after another, each n long.
+    ///
+    /// # Panics
+    /// If the length is not a multiple of n.
+    pub fn solve(&self, columns: &mut [f64]) {
+        assert!(self.size > 0 && columns.len().is_multiple_of(self.size), "right-hand side of another size");
+        let count = columns.len() / self.size;
+        self.inner.solve_in_place(MatMut::from_column_major_slice_mut(columns, self.size, count));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numeric::LeastSquares;
+
+    #[test]
+    fn solves_several_right_hand_sides() {
+        let n = 50;
+        let mut rows = LeastSquares::new(n);
+        for i in 0..n {
+            rows.push(&[(i, 0.1)], 0.0);
+            if i > 0 {
+                rows.push(&[(i - 1, -1.0), (i, 1.0)], 0.0);
+            }
+        }
+        let (matrix, _) = rows.normal_equations();
+        let truth: Vec<f64> = (0..2 * n).map(|i| (i as f64 * 0.7).sin()).collect();
+        let mut columns = vec![0.0; 2 * n];
+        for c in 0..2 {
+            for (value, (row, column)) in matrix.iter() {
+                columns[c * n + row] += value * truth[c * n + column];
+            }
+        }
+        let symbolic = SymbolicCholesky::new(&matrix).unwrap();
+        symbolic.factorize(&matrix, "test").unwrap().solve(&mut columns);
+        for (a, b) in columns.iter().zip(&truth) {
+            assert!((a - b).abs() < 1e-10);
+        }
+    }
+
+    #[test]
+    fn an_indefinite_matrix_is_an_error() {
+        let matrix = CsMat::new_csc((2, 2), vec![0, 1, 2], vec![0, 1], vec![1.0, -1.0]);
+        assert!(matches!(Cholesky::new(&matrix, "test"), Err(Error::Singular { .. })));
+    }
+}

@@ -1,0 +1,79 @@
+//! A triangle mesh over the whole parameter domain of a surface.
+
+use super::curvature::FundamentalForms;
+use super::nurbs::{NurbsSurface, SurfacePoint};
+use crate::error::Error;
+use nalgebra::{Point3, Vector3};
+
+/// A regular triangulation of a surface's parameter domain, lifted to the surface.
+///
+/// Vertex (i, j) is at `i * (cells[1] + 1) + j`; i counts along u. Each cell is cut in two triangles, counter-clockwise in
+/// the parameter plane, so that triangle normals agree with S_u x S_v. Its border is exactly the surface's border.
+#[derive(Clone, Debug)]
+pub struct SurfaceMesh {
+    /// Number of cells in u and v.
+    pub cells: [usize; 2],
+    /// Parameters of each vertex.
+    pub parameters: Vec<[f64; 2]>,
+    /// Surface points with derivatives, one for each vertex.
+    pub points: Vec<SurfacePoint>,
+    /// Unit normals S_u x S_v, one for each vertex.
+    pub normals: Vec<Vector3<f64>>,
+    /// Three vertex indices for each triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl SurfaceMesh {
+    /// Samples `surface` on a grid of `cells` cells; the diagonal of each cell is its shorter one.
+    ///
+    /// # Errors
+    /// [`Error::Degenerate`] if the surface has no normal at an inner grid point.
+    pub fn new(surface: &NurbsSurface, cells: [usize; 2]) -> Result<Self, Error> {
+        let [nu, nv] = cells.map(|c| c.max(1));
+        let mut parameters = Vec::with_capacity((nu + 1) * (nv + 1));
+        let mut points = Vec::with_capacity(parameters.capacity());
+        let mut normals = Vec::with_capacity(parameters.capacity());
+        for i in 0..=nu {
+            for j in 0..=nv {
+                let (s, t) = (i as f64 / nu as f64, j as f64 / nv as f64);
+                let [u, v] = surface.at_fraction(s, t);
+                let point = surface.evaluate(u, v);
+                // A collapsed side (a pole) has no normal: take the one just inside.
+                let forms = FundamentalForms::new(&point).or_else(|| {
+                    let [u, v] = surface.at_fraction(s.clamp(1e-4, 1.0 - 1e-4), t.clamp(1e-4, 1.0 - 1e-4));
+                    FundamentalForms::new(&surface.evaluate(u, v))
+                });
+                let Some(forms) = forms else {
+                    return Err(Error::Degenerate { reason: format!("the surface has no normal at ({u:.4}, {v:.4})") });
+                };
+                parameters.push([u, v]);
+                points.push(point);
+                normals.push(forms.normal);
+            }
+        }
+        let mut triangles = Vec::with_capacity(2 * nu * nv);
+        for i in 0..nu {
+            for j in 0..nv {
+                let corner = |a: usize, b: usize| (i + a) * (nv + 1) + j + b;
+                let length = |a: usize, b: usize| (points[a].position - points[b].position).norm();
+                let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
+                let pair = if length(a, c) <= length(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
+                triangles.extend(pair.map(|t| t.map(|k| k as u32)));
+            }
+        }
+        Ok(Self { cells: [nu, nv], parameters, points, normals, triangles })
+    }
+
+    /// Position of vertex `index`.
+    pub fn position(&self, index: u32) -> Point3<f64> {
+        self.points[index as usize].position
+    }
+
+    /// Unit normal and area of a triangle.
+    pub fn triangle_normal_area(&self, triangle: usize) -> (Vector3<f64>, f64) {
+        let [a, b, c] = self.triangles[triangle].map(|k| self.position(k));
+        let cross = (b - a).cross(&(c - a));
+        let norm = cross.norm();
+        (cross / norm.max(f64::MIN_POSITIVE), 0.5 * norm)
+    }
+}
