@@ -19,7 +19,7 @@ impl FundamentalForms {
     pub fn new(point: &SurfacePoint) -> Option<Self> {
         let cross = point.du.cross(&point.dv);
         let area = cross.norm();
-        if !(area > 1e-12 * (point.du.norm_squared() + point.dv.norm_squared())) {
+        if area.is_nan() || area <= 1e-12 * (point.du.norm_squared() + point.dv.norm_squared()) {
             return None;
         }
         let normal = cross / area;

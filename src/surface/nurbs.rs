@@ -1,6 +1,6 @@
 //! NURBS surfaces: control net, evaluation, derivatives.
 
-use super::knots::KnotVector;
+use super::knots::{Basis, KnotVector};
 use crate::error::Error;
 use nalgebra::{Point3, Vector3};
 
@@ -105,31 +105,63 @@ impl NurbsSurface {
 
     /// S(u, v); parameters are clamped to the domain.
     pub fn point(&self, u: f64, v: f64) -> Point3<f64> {
-        self.evaluate(u, v).position
-    }
-
-    /// S and its derivatives up to second order at (u, v); parameters are clamped to the domain.
-    pub fn evaluate(&self, u: f64, v: f64) -> SurfacePoint {
         let (bu, bv) = (self.knots[0].basis(u), self.knots[1].basis(v));
         let count_v = self.knots[1].count();
-        let orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
-        // Homogeneous sums A = sum w_i N_i p_i and W = sum w_i N_i for each order of derivative.
-        let mut a = [Vector3::zeros(); 6];
-        let mut w = [0.0; 6];
+        let (mut a, mut w) = (Vector3::zeros(), 0.0);
         for i in 0..=self.knots[0].degree() {
             for j in 0..=self.knots[1].degree() {
                 let index = (bu.first + i) * count_v + bv.first + j;
                 let weight = self.weights.as_ref().map_or(1.0, |w| w[index]);
+                let value = weight * bu.values[0][i] * bv.values[0][j];
+                a += self.control_points[index].coords * value;
+                w += value;
+            }
+        }
+        Point3::from(if self.weights.is_none() { a } else { a / w })
+    }
+
+    /// S and its derivatives up to second order at (u, v); parameters are clamped to the domain.
+    pub fn evaluate(&self, u: f64, v: f64) -> SurfacePoint {
+        self.evaluate_with(&self.knots[0].basis(u), &self.knots[1].basis(v))
+    }
+
+    /// S and its derivatives at the basis functions of `knots()[0]` and `knots()[1]` that the caller already has.
+    ///
+    /// Several times faster than [`NurbsSurface::evaluate`] where many points share a parameter.
+    pub fn evaluate_with(&self, bu: &Basis, bv: &Basis) -> SurfacePoint {
+        let count_v = self.knots[1].count();
+        let (degree_u, degree_v) = (self.knots[0].degree(), self.knots[1].degree());
+        if self.weights.is_none() {
+            let mut a = [Vector3::zeros(); 6];
+            for i in 0..=degree_u {
+                let start = (bu.first + i) * count_v + bv.first;
+                // The row's curve and its derivatives in v, then their sums over u.
+                let mut row = [Vector3::zeros(); 3];
+                for (j, point) in self.control_points[start..=start + degree_v].iter().enumerate() {
+                    for (k, sum) in row.iter_mut().enumerate() {
+                        *sum += point.coords * bv.values[k][j];
+                    }
+                }
+                for (sum, (du, dv)) in a.iter_mut().zip(ORDERS) {
+                    *sum += row[dv] * bu.values[du][i];
+                }
+            }
+            return SurfacePoint { position: Point3::from(a[0]), du: a[1], dv: a[2], duu: a[3], duv: a[4], dvv: a[5] };
+        }
+        // Homogeneous sums A = sum w_i N_i p_i and W = sum w_i N_i for each order of derivative.
+        let mut a = [Vector3::zeros(); 6];
+        let mut w = [0.0; 6];
+        for i in 0..=degree_u {
+            for j in 0..=degree_v {
+                let index = (bu.first + i) * count_v + bv.first + j;
+                let weight = self.weights.as_ref().map_or(1.0, |w| w[index]);
                 let point = self.control_points[index].coords;
-                for (k, &(du, dv)) in orders.iter().enumerate() {
+                for (k, &(du, dv)) in ORDERS.iter().enumerate() {
                     let value = weight * bu.values[du][i] * bv.values[dv][j];
                     a[k] += point * value;
                     w[k] += value;
                 }
             }
-        }
-        if self.weights.is_none() {
-            return SurfacePoint { position: Point3::from(a[0]), du: a[1], dv: a[2], duu: a[3], duv: a[4], dvv: a[5] };
         }
         let s = a[0] / w[0];
         let du = (a[1] - s * w[1]) / w[0];
@@ -143,7 +175,21 @@ impl NurbsSurface {
             dvv: (a[5] - dv * (2.0 * w[2]) - s * w[5]) / w[0],
         }
     }
+
+    /// S and its derivatives on the grid of the parameters `us` times `vs`, v running fastest.
+    pub fn evaluate_grid(&self, us: &[f64], vs: &[f64]) -> Vec<SurfacePoint> {
+        let columns: Vec<Basis> = vs.iter().map(|&v| self.knots[1].basis(v)).collect();
+        let mut points = Vec::with_capacity(us.len() * vs.len());
+        for &u in us {
+            let row = self.knots[0].basis(u);
+            points.extend(columns.iter().map(|column| self.evaluate_with(&row, column)));
+        }
+        points
+    }
 }
+
+/// Orders of derivative in u and v of S, S_u, S_v, S_uu, S_uv, S_vv.
+const ORDERS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
 
 #[cfg(test)]
 mod tests {
@@ -178,6 +224,23 @@ mod tests {
             ];
             for (exact, difference) in pairs {
                 assert!((exact - difference).norm() < 1e-5 * (1.0 + exact.norm()));
+            }
+        }
+    }
+
+    #[test]
+    fn points_and_grids_agree_with_single_evaluations() {
+        let rational = wavy();
+        let plain = NurbsSurface::new(rational.knots().clone(), rational.control_points().to_vec(), None).unwrap();
+        for surface in [rational, plain] {
+            let (us, vs) = ([0.0, 0.2, 0.55, 1.0], [0.0, 0.71, 1.0]);
+            let grid = surface.evaluate_grid(&us, &vs);
+            for (i, &u) in us.iter().enumerate() {
+                for (j, &v) in vs.iter().enumerate() {
+                    let (a, b) = (&grid[i * 3 + j], surface.evaluate(u, v));
+                    assert!((a.position - b.position).norm() < 1e-14 && (a.duv - b.duv).norm() < 1e-12);
+                    assert!((surface.point(u, v) - b.position).norm() < 1e-14);
+                }
             }
         }
     }

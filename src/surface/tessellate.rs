@@ -30,16 +30,18 @@ impl SurfaceMesh {
     /// [`Error::Degenerate`] if the surface has no normal at an inner grid point.
     pub fn new(surface: &NurbsSurface, cells: [usize; 2]) -> Result<Self, Error> {
         let [nu, nv] = cells.map(|c| c.max(1));
-        let mut parameters = Vec::with_capacity((nu + 1) * (nv + 1));
-        let mut points = Vec::with_capacity(parameters.capacity());
-        let mut normals = Vec::with_capacity(parameters.capacity());
-        for i in 0..=nu {
-            for j in 0..=nv {
-                let (s, t) = (i as f64 / nu as f64, j as f64 / nv as f64);
-                let [u, v] = surface.at_fraction(s, t);
-                let point = surface.evaluate(u, v);
+        let fractions = |n: usize| (0..=n).map(move |i| i as f64 / n as f64);
+        let us: Vec<f64> = fractions(nu).map(|s| surface.knots()[0].at_fraction(s)).collect();
+        let vs: Vec<f64> = fractions(nv).map(|t| surface.knots()[1].at_fraction(t)).collect();
+        let points = surface.evaluate_grid(&us, &vs);
+        let mut parameters = Vec::with_capacity(points.len());
+        let mut normals = Vec::with_capacity(points.len());
+        for (i, s) in fractions(nu).enumerate() {
+            for (j, t) in fractions(nv).enumerate() {
+                let (u, v) = (us[i], vs[j]);
+                let point = &points[i * (nv + 1) + j];
                 // A collapsed side (a pole) has no normal: take the one just inside.
-                let forms = FundamentalForms::new(&point).or_else(|| {
+                let forms = FundamentalForms::new(point).or_else(|| {
                     let [u, v] = surface.at_fraction(s.clamp(1e-4, 1.0 - 1e-4), t.clamp(1e-4, 1.0 - 1e-4));
                     FundamentalForms::new(&surface.evaluate(u, v))
                 });
@@ -47,7 +49,6 @@ impl SurfaceMesh {
                     return Err(Error::Degenerate { reason: format!("the surface has no normal at ({u:.4}, {v:.4})") });
                 };
                 parameters.push([u, v]);
-                points.push(point);
                 normals.push(forms.normal);
             }
         }
