@@ -1,0 +1,59 @@
+"""Shards of `sketch2pq generate`, memory-mapped, as batches of float tensors."""
+
+import json
+import pathlib
+
+import numpy
+import torch
+
+NAMES = ("strokes", "valid", "depth", "normal", "control", "cdf")
+
+
+class Shards:
+    """All finished shards of a folder; more may be added while training runs (call `refresh`)."""
+
+    def __init__(self, folder):
+        self.folder = pathlib.Path(folder)
+        self.arrays = []
+        self.starts = [0]
+        self.occluded = []
+        self.meta = []
+        self.seen = set()
+        self.refresh()
+
+    def refresh(self):
+        """Takes in the shards that were finished since."""
+        for shard in sorted(self.folder.glob("shard_*")):
+            if shard.name in self.seen or not (shard / "meta.jsonl").exists():
+                continue
+            self.seen.add(shard.name)
+            arrays = {name: numpy.load(shard / f"{name}.npy", mmap_mode="r") for name in NAMES}
+            self.arrays.append(arrays)
+            base = self.starts[-1]
+            lines = [json.loads(line) for line in (shard / "meta.jsonl").read_text().splitlines()]
+            self.meta.extend(lines)
+            self.occluded.extend(base + i for i, line in enumerate(lines) if line["occluded"])
+            self.starts.append(base + len(arrays["valid"]))
+
+    def __len__(self):
+        return self.starts[-1]
+
+    def batch(self, indices):
+        """The samples with these numbers, as float32 tensors in their natural units."""
+        rows = {name: [] for name in NAMES}
+        for index in sorted(indices):
+            shard = numpy.searchsorted(self.starts, index, side="right") - 1
+            for name in NAMES:
+                rows[name].append(self.arrays[shard][name][index - self.starts[shard]])
+        raw = {name: torch.from_numpy(numpy.stack(values)) for name, values in rows.items()}
+        strokes = raw["strokes"].float()
+        strokes[:, :8] /= 255
+        strokes[:, 8:] = (strokes[:, 8:] - 128) / 127
+        return {
+            "strokes": strokes,
+            "valid": raw["valid"],
+            "depth": raw["depth"].float(),
+            "normal": raw["normal"].float() / 127,
+            "control": raw["control"].float(),
+            "cdf": raw["cdf"].float() / 127,
+        }

@@ -1,0 +1,83 @@
+"""The four networks: small residual U-Nets on 64 x 64 maps (BSR-Net: on the 30 x 30 control net).
+
+Everything that the paper draws at 256 x 256 happens here at 64 x 64: the surfaces are smooth, and the strokes come in as
+distance maps that keep their sub-pixel position. The trunk works at half of that: 2 x 2 pixels are folded into channels on
+the way in and unfolded on the way out, which keeps every bit of the input and trains about twice as fast. No
+normalization layers: each residual branch starts at zero instead.
+"""
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+MAP = 64
+NET = 30
+
+# name: (input channels, output channels, widths per level, residual blocks per level, map size, folding)
+SHAPES = {
+    "vd_net": (12, 8, (64, 128, 256), 2, MAP, 2),
+    "od_net": (16, 8, (64, 128, 192), 2, MAP, 2),
+    "bsr_net": (17, 3, (64, 96, 128), 2, NET, 1),
+    "cdf_net": (16, 8, (64, 128, 160), 2, MAP, 2),
+}
+
+
+class Residual(nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1)
+        self.second = nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.second.weight)
+        nn.init.zeros_(self.second.bias)
+
+    def forward(self, x):
+        return x + self.second(F.relu(self.first(F.relu(x))))
+
+
+class UNet(nn.Module):
+    """Encoder and decoder with skip connections; the position in the map is an extra input."""
+
+    def __init__(self, inputs, outputs, widths, blocks, size, folding):
+        super().__init__()
+        coarsest = folding * 2 ** (len(widths) - 1)
+        self.padded = -(-size // coarsest) * coarsest
+        self.size = size
+        self.folding = folding
+        axis = torch.linspace(-1, 1, size)
+        position = torch.stack([axis[None, :].expand(size, size), -axis[:, None].expand(size, size)])
+        self.register_buffer("position", position[None].contiguous())
+        self.stem = nn.Conv2d(inputs + 2, widths[0], folding + 2, padding=1, stride=folding)
+        level = lambda width: nn.Sequential(*[Residual(width) for _ in range(blocks)])
+        self.encoder = nn.ModuleList(level(width) for width in widths)
+        self.down = nn.ModuleList(nn.Conv2d(a, b, 2, stride=2) for a, b in zip(widths, widths[1:]))
+        self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(widths, widths[1:]))
+        self.decoder = nn.ModuleList(level(width) for width in widths[:-1])
+        self.head = nn.Conv2d(widths[0], outputs * folding**2, 3, padding=1)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(self, x):
+        # A single sample needs no expansion, which keeps the exported graph plain.
+        position = self.position if len(x) == 1 else self.position.expand(len(x), -1, -1, -1)
+        x = torch.cat([x, position.to(x.dtype)], 1)
+        extra = self.padded - self.size
+        if extra:
+            x = F.pad(x, (0, extra, 0, extra), mode="replicate")
+        x = self.stem(x)
+        skips = []
+        for encode, down in zip(self.encoder, self.down):
+            x = encode(x)
+            skips.append(x)
+            x = down(x)
+        x = self.encoder[-1](x)
+        for skip, up, decode in reversed(list(zip(skips, self.up, self.decoder))):
+            x = decode(skip + F.interpolate(up(x), scale_factor=2, mode="nearest"))
+        x = self.head(F.relu(x))
+        if self.folding > 1:
+            x = F.pixel_shuffle(x, self.folding)
+        return x[:, :, : self.size, : self.size] if extra else x
+
+
+def make(name):
+    """A fresh network by its name."""
+    return UNet(*SHAPES[name])

@@ -1,0 +1,289 @@
+"""What each network sees, answers and is scored by."""
+
+import math
+
+import torch
+from torch.nn import functional as F
+
+import geometry
+import losses
+from geometry import MAP, POSITIONS
+
+COT_ELEVATION = 1.0  # the generator's default view, 45 degrees
+SLOTS = 6
+
+
+def draw_depth_samples(batch, generator):
+    """Up to six random depth samples on either layer: points (B, 6, 2), values, and the mask of each layer's samples."""
+    valid = (batch["valid"] > 0).flatten(1).float()
+    count = len(valid)
+    slots = torch.multinomial(valid, SLOTS, replacement=True, generator=generator)
+    given = torch.arange(SLOTS)[None] < torch.randint(0, SLOTS + 1, (count, 1), generator=generator)
+    points = POSITIONS[slots % (MAP * MAP)]
+    values = batch["depth"].flatten(1).gather(1, slots)
+    occluded = slots >= MAP * MAP
+    return points, values, given & ~occluded, given & occluded
+
+
+def with_reference(batch, generator):
+    """Draws depth samples and moves h so that the reference is 0, as inference does. Returns the batch and the samples."""
+    points, values, on_visible, on_occluded = draw_depth_samples(batch, generator)
+    average = lambda mask: (values * mask).sum(1) / mask.sum(1).clamp_min(1)
+    valid = (batch["valid"] > 0).float()
+    level = (batch["depth"][:, 0] * valid[:, 0]).sum((1, 2)) / valid[:, 0].sum((1, 2)).clamp_min(1)
+    reference = torch.where(
+        on_visible.any(1), average(on_visible), torch.where(on_occluded.any(1), average(on_occluded), level)
+    )
+    depth = (batch["depth"] - reference[:, None, None, None]) * valid
+    control = batch["control"] - torch.stack([torch.zeros_like(reference)] * 2 + [reference], -1)[:, None, None]
+    samples = (points, values - reference[:, None], on_visible, on_occluded)
+    return {**batch, "depth": depth, "control": control}, samples
+
+
+def split_sides(output, side):
+    """g and unit normal of the side (front or back) that each pixel shows."""
+    front = (side != 2)[:, None]
+    g = torch.where(front[:, 0], output[:, 0], output[:, 1])
+    normal = torch.where(front, output[:, 2:5], output[:, 5:8])
+    return g, F.normalize(normal, dim=1, eps=1e-3)
+
+
+class VdNet:
+    name = "vd_net"
+    needs = ()
+    occluded_only = False
+
+    def prepare(self, batch, generator, helpers):
+        batch, samples = with_reference(batch, generator)
+        points, values, on_visible, _ = samples
+        base, std = geometry.sample_base(points, values, on_visible)
+        return {**batch, "samples": samples, "base": base, "std": std, "input": torch.cat([batch["strokes"], base, std], 1)}
+
+    def decode(self, output, prepared):
+        side = prepared["valid"][:, 0]
+        g, normal = split_sides(output, side)
+        h = prepared["base"][:, 0] + prepared["std"][:, 0] * g
+        seen = (side > 0).float()
+        return h * seen, normal * seen[:, None]
+
+    def loss(self, output, prepared, weights):
+        side = prepared["valid"][:, 0]
+        h, normal = self.decode(output, prepared)
+        data, smooth, compatible = losses.layer_terms(
+            h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], side, weights, COT_ELEVATION
+        )
+        points, values, given, _ = prepared["samples"]
+        depth = losses.mean((geometry.lookup(h[:, None], points)[:, 0] - values).square(), given)
+        total = data + weights["w_smo"] * smooth + weights["w_comp"] * compatible + weights["w_dep"] * depth
+        return total, {"dat": data, "smo": smooth, "comp": compatible, "dep": depth}
+
+    def scores(self, output, prepared):
+        h, normal = self.decode(output, prepared)
+        return layer_scores(h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], prepared["valid"][:, 0] > 0, prepared)
+
+    def headline(self, scores):
+        return scores["d"] / max(scores["d_plane"], 1e-9)
+
+
+class OdNet:
+    name = "od_net"
+    needs = ("vd_net",)
+    occluded_only = True
+
+    def prepare(self, batch, generator, helpers):
+        vd = VdNet().prepare(batch, generator, helpers)
+        with torch.no_grad():
+            h, normal = VdNet().decode(helpers["vd_net"](vd["input"]).float(), vd)
+        points, values, _, on_occluded = vd["samples"]
+        difference = values - geometry.lookup(h[:, None], points)[:, 0]
+        base, std = geometry.sample_base(points, difference, on_occluded)
+        inputs = torch.cat([batch["strokes"], base, std, h[:, None], normal], 1)
+        return {**vd, "visible_h": h, "visible_normal": normal, "base": base, "std": std, "input": inputs}
+
+    def decode(self, output, prepared):
+        side = prepared["valid"][:, 1]
+        g, normal = split_sides(output, side)
+        h = prepared["visible_h"] + prepared["base"][:, 0] + prepared["std"][:, 0] * g
+        seen = (side > 0).float()
+        return h * seen, normal * seen[:, None]
+
+    def loss(self, output, prepared, weights):
+        side = prepared["valid"][:, 1]
+        h, normal = self.decode(output, prepared)
+        data, smooth, compatible = losses.layer_terms(
+            h, normal, prepared["depth"][:, 1], prepared["normal"][:, 1], side, weights, COT_ELEVATION
+        )
+        points, values, _, given = prepared["samples"]
+        depth = losses.mean((geometry.lookup(h[:, None], points)[:, 0] - values).square(), given)
+        pairs = losses.contour_pairs(prepared["strokes"][:, 2], prepared["valid"][:, 0], side)
+        both = lambda h, n: torch.cat([h[:, None] * weights["gamma_d"] ** 0.5, n * weights["gamma_n"] ** 0.5], 1)
+        consistent = losses.consistency(pairs, both(prepared["visible_h"], prepared["visible_normal"]), both(h, normal))
+        total = data + weights["w_smo"] * smooth + weights["w_comp"] * compatible
+        total = total + weights["w_dep"] * depth + weights["w_cons"] * consistent
+        return total, {"dat": data, "smo": smooth, "comp": compatible, "dep": depth, "cons": consistent}
+
+    def scores(self, output, prepared):
+        h, normal = self.decode(output, prepared)
+        return layer_scores(h, normal, prepared["depth"][:, 1], prepared["normal"][:, 1], prepared["valid"][:, 1] > 0, prepared)
+
+    headline = VdNet.headline
+
+
+def layer_scores(h, normal, true_h, true_normal, valid, prepared):
+    """Per-sample errors of one layer: D, with the four free parameters removed, of the best plane, and angles."""
+    results = {"d": [], "d_shear": [], "d_plane": [], "normal_deg": [], "samples": []}
+    count = prepared["samples"][2].sum(1) + prepared["samples"][3].sum(1)
+    for i in range(len(h)):
+        mask = valid[i].flatten()
+        if mask.sum() < 12:
+            continue
+        truth, guess = true_h[i].flatten()[mask].double(), h[i].flatten()[mask].double()
+        plane = torch.cat([POSITIONS[mask], torch.ones(int(mask.sum()), 1)], 1).double()
+        fit = lambda basis: (truth - basis @ torch.linalg.lstsq(basis, truth[:, None]).solution[:, 0]).square().mean().item()
+        results["d"].append((truth - guess).square().mean().item())
+        results["d_plane"].append(fit(plane))
+        results["d_shear"].append(fit(torch.cat([plane, guess[:, None]], 1)))
+        cosine = (normal[i] * true_normal[i]).sum(0).flatten()[mask].clamp(-1, 1)
+        results["normal_deg"].append(math.degrees(torch.arccos(cosine).mean().item()))
+        results["samples"].append(int(count[i]))
+    return results
+
+
+class BsrNet:
+    name = "bsr_net"
+    needs = ()
+    occluded_only = False
+    basis = geometry.basis_matrix(100)
+
+    def prepare(self, batch, generator, helpers):
+        batch = geometry.shear(batch, generator, COT_ELEVATION)
+        batch, samples = with_reference(batch, generator)
+        control = dihedral(batch["control"], int(torch.randint(0, 4, (1,), generator=generator)))
+        valid = batch["valid"]
+        seen = (valid > 0).float()
+        # What the depth networks get wrong: a smooth error, the same for both layers near a contour.
+        coarse = torch.randn(len(control), 1, 5, 5, generator=generator)
+        level = 0.15 * torch.rand(len(control), 1, 1, 1, generator=generator)
+        error = F.interpolate(coarse, size=(MAP, MAP), mode="bicubic", align_corners=True) * level
+        control = control.clone()
+        xy = control[..., :2].flatten(1, 2)
+        control[..., 2] = control[..., 2] + geometry.lookup(error, xy)[:, 0].reshape(control.shape[:3])
+        depth = (batch["depth"] + error) * seen
+        net = geometry.coons(control)
+        maps = torch.cat(
+            [
+                seen[:, :1], depth[:, :1], (valid[:, :1] == 1).float(), (valid[:, :1] == 2).float(), batch["normal"][:, 0],
+                seen[:, 1:], depth[:, 1:], batch["normal"][:, 1], batch["strokes"][:, 2:3],
+            ], 1,
+        )
+        return {**batch, "samples": samples, "control": control, "coons": net, "input": self.assemble(net, maps)}
+
+    @staticmethod
+    def assemble(net, maps):
+        """Input (B, 17, 30, 30) from the Coons net and the 13 maps: coverage, h, front, back, normal; coverage, h, normal; contour."""
+        count = net.shape[1]
+        at = geometry.lookup(maps, net[..., :2].flatten(1, 2)).unflatten(2, (count, count))
+        h = net[..., 2][:, None]
+        rim = torch.zeros(count, count)
+        rim[0], rim[-1], rim[:, 0], rim[:, -1] = 1, 1, 1, 1
+        rim = rim.expand(len(net), 1, -1, -1)
+        return torch.cat(
+            [
+                net.permute(0, 3, 1, 2), at[:, 0:1], at[:, 1:2] - at[:, 0:1] * h, at[:, 2:4], at[:, 4:7],
+                at[:, 7:8], at[:, 8:9] - at[:, 7:8] * h, at[:, 9:12], at[:, 12:13], rim,
+            ], 1,
+        )
+
+    def points(self, control):
+        return torch.einsum("ki,bijc,lj->bklc", self.basis, control, self.basis)
+
+    def loss(self, output, prepared, weights):
+        control = prepared["coons"] + output.permute(0, 2, 3, 1)
+        data = (self.points(control) - self.points(prepared["control"])).square().sum(-1).mean()
+        fair = losses.fairness(control)
+        # The paper sums E_fair over the net while E_dat is a mean; the mean keeps w_fair's meaning for any net size.
+        fair = fair / (28 * 28)
+        return data + weights["w_fair"] * fair, {"dat": data, "fair": fair}
+
+    def scores(self, output, prepared):
+        truth = self.points(prepared["control"])
+        error = lambda control: (self.points(control) - truth).square().sum(-1).mean((1, 2)).tolist()
+        constant = prepared["control"].mean(0, keepdim=True).expand_as(prepared["control"])
+        return {
+            "d": error(prepared["coons"] + output.permute(0, 2, 3, 1)),
+            "d_coons": error(prepared["coons"]),
+            "d_constant": error(constant),
+        }
+
+    def headline(self, scores):
+        return scores["d"] / max(scores["d_coons"], 1e-9)
+
+
+def dihedral(control, turns):
+    """The same surfaces with the parameter square turned by `turns` quarter turns; keeps S_u x S_v."""
+    for _ in range(turns):
+        control = control.transpose(1, 2).flip(2)
+    return control.contiguous()
+
+
+class CdfNet:
+    name = "cdf_net"
+    needs = ()
+    occluded_only = False
+
+    def prepare(self, batch, generator, helpers):
+        batch = geometry.shear(batch, generator, COT_ELEVATION)
+        seen = (batch["valid"] > 0).float()
+        coarse = torch.randn(len(seen), 6, 7, 7, generator=generator)
+        noise = F.interpolate(coarse, size=(MAP, MAP), mode="bilinear", align_corners=True) * 0.08
+        normal = F.normalize(batch["normal"] + noise.unflatten(1, (2, 3)), dim=2) * seen[:, :, None]
+        known = batch["cdf"].abs().sum(2) > 0.5
+        truth = losses.polyvector(batch["cdf"].permute(0, 2, 1, 3, 4)).permute(0, 2, 1, 3, 4)
+        inputs = torch.cat([batch["strokes"], normal[:, 0], normal[:, 1]], 1)
+        return {**batch, "known": known, "truth": truth, "input": inputs}
+
+    def loss(self, output, prepared, weights):
+        c = output.unflatten(1, (2, 4))
+        data, smooth = 0.0, 0.0
+        for layer in range(2):
+            data = data + losses.mean((c[:, layer] - prepared["truth"][:, layer]).square().sum(1), prepared["known"][:, layer])
+            right, up = losses.neighbours(prepared["valid"][:, layer])
+            for mask, shift in ((right, losses.to_right), (up, losses.to_up)):
+                smooth = smooth + losses.mean((c[:, layer] - shift(c[:, layer])).square().sum(1), mask)
+        pairs = losses.contour_pairs(prepared["strokes"][:, 2], prepared["valid"][:, 0], prepared["valid"][:, 1])
+        consistent = losses.consistency(pairs, c[:, 0], c[:, 1])
+        total = data + weights["w_smo"] * smooth + weights["w_cons"] * consistent
+        return total, {"dat": data, "smo": smooth, "cons": consistent}
+
+    def scores(self, output, prepared):
+        known = prepared["known"]
+        guess = angles(output.unflatten(1, (2, 4)).permute(0, 1, 3, 4, 2)[known])
+        truth = angles(prepared["truth"].permute(0, 1, 3, 4, 2)[known])
+        grid = torch.arange(0, 180, 7.5)
+        best = min(
+            pair_error(torch.tensor([a, b]).expand(len(truth), 2), truth).mean().item() for a in grid for b in grid if a < b
+        )
+        return {"angle_deg": pair_error(guess, truth).tolist(), "constant_deg": [best]}
+
+    def headline(self, scores):
+        return scores["angle_deg"] / max(scores["constant_deg"], 1e-9)
+
+
+def angles(coefficients):
+    """Directions (degrees, modulo 180) of the two roots u^2, v^2 of z^2 - s z + p; coefficients (..., 4)."""
+    s = torch.complex(coefficients[..., 0], coefficients[..., 1])
+    p = torch.complex(coefficients[..., 2], coefficients[..., 3])
+    root = torch.sqrt(s * s - 4 * p)
+    pair = torch.stack([(s + root) / 2, (s - root) / 2], -1)
+    return torch.rad2deg(torch.angle(pair)) / 2
+
+
+def pair_error(first, second):
+    """Mean angle (degrees) between two pairs of lines, better of the two assignments."""
+    difference = lambda a, b: 90 - (((a - b) % 180) - 90).abs()
+    straight = difference(first[..., 0], second[..., 0]) + difference(first[..., 1], second[..., 1])
+    crossed = difference(first[..., 0], second[..., 1]) + difference(first[..., 1], second[..., 0])
+    return torch.minimum(straight, crossed) / 2
+
+
+TASKS = {task.name: task for task in (VdNet(), OdNet(), BsrNet(), CdfNet())}
