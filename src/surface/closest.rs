@@ -258,8 +258,7 @@ fn on_side(surface: &NurbsSurface, side: usize, t: f64) -> [f64; 2] {
 
 /// Evenly spaced parameters within each knot span, so that [`SEED_CELLS`] or two a span are reached.
 fn seed_parameters(knots: &KnotVector) -> Vec<f64> {
-    let mut distinct: Vec<f64> = knots.knots().to_vec();
-    distinct.dedup();
+    let distinct = knots.breaks();
     let pieces = SEED_CELLS.div_ceil(distinct.len() - 1).max(2);
     let mut result = vec![distinct[0]];
     for span in distinct.windows(2) {

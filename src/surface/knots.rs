@@ -108,6 +108,21 @@ impl KnotVector {
         a + (b - a) * t
     }
 
+    /// Greville abscissae: the mean of the `degree` inner knots of each basis function, one parameter a control point.
+    ///
+    /// Control values that are linear in them give a linear function.
+    pub fn greville(&self) -> Vec<f64> {
+        let p = self.degree;
+        (0..self.count()).map(|i| self.knots[i + 1..=i + p].iter().sum::<f64>() / p as f64).collect()
+    }
+
+    /// The distinct knots: ends of the polynomial pieces, increasing.
+    pub fn breaks(&self) -> Vec<f64> {
+        let mut breaks = self.knots.clone();
+        breaks.dedup();
+        breaks
+    }
+
     /// Basis functions and their first two derivatives at `t`, which is clamped to the domain.
     pub fn basis(&self, t: f64) -> Basis {
         let p = self.degree;

@@ -1,15 +1,23 @@
 //! NURBS surfaces: evaluation, curvature, tessellation, and the refinement that makes them obey the sketch.
 
+mod border;
 mod closest;
+mod coons;
+mod corners;
 mod curvature;
 mod knots;
+mod layer_map;
 mod nurbs;
 mod ray;
 mod tessellate;
 
+pub use border::{BorderCurves, LayerMaps};
 pub use closest::{SurfaceFoot, SurfaceProjector};
+pub use coons::coons_net;
+pub use corners::BorderLoop;
 pub use curvature::FundamentalForms;
 pub use knots::{Basis, KnotVector, MAX_DEGREE};
+pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};
 pub use ray::{RayCaster, RayHit};
 pub use tessellate::SurfaceMesh;
