@@ -1,0 +1,1136 @@
+//! Moves vertices until every face is planar.
+
+use super::panel_mesh::PanelMesh;
+use super::planarity::{edges, mean_edge_length, planarity};
+use super::reference::{Foot, MeshReference, Reference};
+use crate::control::Control;
+use crate::error::Error;
+use crate::numeric::SymbolicCholesky;
+use nalgebra::{Matrix3, Point3, Vector3};
+use sprs::CsMat;
+
+/// What to planarize, and what to keep to.
+#[derive(Clone, Copy)]
+pub struct PlanarizeInput<'a> {
+    /// Any mesh of polygons; model frame, any unit.
+    pub mesh: &'a PanelMesh,
+    /// The surface to stay on. Without one the mesh stays close to itself as it is given.
+    pub reference: Option<&'a dyn Reference>,
+    /// Vertices that stay on the reference's border, in any order; see [`border_vertices`].
+    pub border: &'a [u32],
+    /// Vertices that do not move at all.
+    pub pins: &'a [u32],
+    /// Neighbours (previous, vertex, next) along polylines that stay fair; see [`grid_polylines`].
+    pub polylines: &'a [[u32; 3]],
+}
+
+/// How [`planarize`] weighs its aims. Weights multiply squared lengths in units of the mesh's mean edge length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanarizeOptions {
+    /// Largest planarity of a face, as [`planarity`] measures it, that counts as planar. The result is usually far below.
+    pub target: f64,
+    /// Distance to the reference that no vertex should exceed, mesh unit. `None`: 2 % of the mesh's width (sqrt 2 times the
+    /// largest distance of a vertex from the centroid, the side for a square), or a fifth of its mean edge length, whichever
+    /// is smaller.
+    pub deviation: Option<f64>,
+    /// Most Newton rounds, over all phases.
+    pub rounds: usize,
+    /// Weight of the distance to the surface (to its tangent plane at the closest point).
+    pub closeness: f64,
+    /// Weight of the distance from where a vertex started; holds vertices against sliding in the surface.
+    pub anchor: f64,
+    /// Weight of the distance of border vertices from the border's tangent line.
+    pub border: f64,
+    /// Weight of the change of second differences along the polylines.
+    pub fairness: f64,
+    /// Weight of the change of edge vectors; grows for an edge that loses more than half of its length.
+    pub stretch: f64,
+}
+
+impl Default for PlanarizeOptions {
+    fn default() -> Self {
+        Self {
+            target: 1e-6,
+            deviation: None,
+            rounds: 40,
+            closeness: 1.0,
+            anchor: 1e-2,
+            border: 1e2,
+            stretch: 5e-2,
+            fairness: 0.5,
+        }
+    }
+}
+
+/// A planarized mesh and how well it came out.
+#[derive(Clone, Debug)]
+pub struct Planarized {
+    /// The input's faces on moved vertices.
+    pub mesh: PanelMesh,
+    /// Planarity of each face, see [`planarity`].
+    pub planarity: Vec<f64>,
+    /// Distance of each vertex from the reference surface, or from its border for border vertices; mesh unit.
+    pub deviation: Vec<f64>,
+    /// The limit that `deviation` was held against, mesh unit.
+    pub deviation_limit: f64,
+    /// Newton rounds made.
+    pub rounds: usize,
+    /// Whether every face is planar to the target.
+    pub is_planar: bool,
+    /// Whether every vertex is within the deviation limit.
+    pub is_close: bool,
+}
+
+impl Planarized {
+    /// Largest planarity of a face.
+    pub fn planarity_max(&self) -> f64 {
+        self.planarity.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// Largest deviation of a vertex, mesh unit.
+    pub fn deviation_max(&self) -> f64 {
+        self.deviation.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Makes every face planar by moving vertices as little as possible off the reference, its border and fair polylines.
+///
+/// Each face of k > 3 corners must satisfy k - 3 equations: with its unit normal n (Newell's) and the projector P onto the
+/// vectors orthogonal to 1, x, y (corner coordinates in the face's plane), P (n . v_i)_i = 0. For a quad that is the
+/// distance of its diagonals. The derivatives of n and of P vanish where the face is planar, so P and n held fixed give a
+/// Newton step that converges quadratically. Each round minimizes the Gauss-Newton model of the soft terms (distance to
+/// tangent planes and border tangents at fresh closest points, anchoring, change of the polylines' second differences) under
+/// the linearized equations; the equality-constrained system is solved by a sparse Cholesky factorization of H + mu C^T C,
+/// whose symbolic part all rounds share, and multiplier updates. Where vertices leave the allowed deviation, their
+/// weights grow. The last rounds drop the soft gradient and only project onto the constraints.
+///
+/// Planarity and closeness may contradict each other (panels along the rulings of a saddle). Then the better compromise
+/// is returned with its numbers: the planar mesh unless it strays more than three times the allowed deviation, turns
+/// faces over or collapses edges, else the mesh with the least planarity within the deviation; [`Planarized::is_planar`] and
+/// [`Planarized::is_close`] tell.
+///
+/// # Errors
+/// [`Error::VertexOutOfRange`], [`Error::NotFinite`] and [`Error::Degenerate`] for an unusable mesh or index list,
+/// [`Error::Argument`] for options out of range, [`Error::Cancelled`].
+///
+/// # Source
+/// Tang et al. 2014, "Form-finding with polyhedral meshes made simple" (guided projection). We eliminate its face normals,
+/// which leaves a third fewer unknowns and exact constraints instead of penalties.
+pub fn planarize(input: &PlanarizeInput, options: &PlanarizeOptions, control: &Control) -> Result<Planarized, Error> {
+    check(input, options)?;
+    let own;
+    let reference: &dyn Reference = match input.reference {
+        Some(reference) => reference,
+        None => {
+            own = MeshReference::from_panels(input.mesh);
+            &own
+        }
+    };
+    let edge = mean_edge_length(input.mesh);
+    let width = width(&input.mesh.vertices);
+    let limit = options.deviation.unwrap_or((0.02 * width).min(0.2 * edge));
+    let mut state = State::new(input, reference, options, edge, limit)?;
+    state.run(control)?;
+
+    let State { vertices, feet, rounds, .. } = state;
+    let mesh = PanelMesh { vertices, ..input.mesh.clone() };
+    let planarity = planarity(&mesh);
+    let deviation: Vec<f64> = mesh.vertices.iter().zip(&feet).map(|(p, foot)| (p - foot.point).norm()).collect();
+    let is_planar = planarity.iter().all(|p| *p <= options.target);
+    let is_close = deviation.iter().all(|d| *d <= limit);
+    Ok(Planarized { mesh, planarity, deviation, deviation_limit: limit, rounds, is_planar, is_close })
+}
+
+/// The vertices on edges that belong to one face only, ascending.
+pub fn border_vertices(mesh: &PanelMesh) -> Vec<u32> {
+    let mut sides = Vec::with_capacity(mesh.indices.len());
+    for face in mesh.faces() {
+        for k in 0..face.len() {
+            let (a, b) = (face[k], face[(k + 1) % face.len()]);
+            sides.push([a.min(b), a.max(b)]);
+        }
+    }
+    sides.sort_unstable();
+    let mut vertices: Vec<u32> =
+        sides.chunk_by(|a, b| a == b).filter(|group| group.len() == 1).flat_map(|group| group[0]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices
+}
+
+/// The triples (previous, vertex, next) along the grid lines of a quad mesh: for each vertex between four quads the two
+/// pairs of edges that share no face, and the border pair for a border vertex between two quads. Ascending by vertex.
+pub fn grid_polylines(mesh: &PanelMesh) -> Vec<[u32; 3]> {
+    // For each vertex the corners at it: (face, next vertex, previous vertex).
+    let mut corners: Vec<(u32, u32, u32, usize)> = Vec::with_capacity(mesh.indices.len());
+    for face in mesh.faces() {
+        let count = face.len();
+        for k in 0..count {
+            corners.push((face[k], face[(k + 1) % count], face[(k + count - 1) % count], count));
+        }
+    }
+    corners.sort_unstable();
+    let mut triples = vec![];
+    for group in corners.chunk_by(|a, b| a.0 == b.0) {
+        if group.iter().any(|c| c.3 != 4) {
+            continue;
+        }
+        let vertex = group[0].0;
+        // The corner that starts with the edge with which `previous` ends.
+        let follow = |edge: u32| group.iter().find(|c| c.1 == edge).map(|c| c.2);
+        match group.len() {
+            2 => {
+                let first = group.iter().find(|c| group.iter().all(|d| d.2 != c.1)).map(|c| c.1);
+                if let Some(first) = first
+                    && let Some(last) = follow(first).and_then(follow)
+                {
+                    triples.push([first, vertex, last]);
+                }
+            }
+            4 => {
+                let ring = [0, 1, 2, 3].map(|turns| (0..turns).try_fold(group[0].1, |edge, _| follow(edge)));
+                if let [Some(a), Some(b), Some(c), Some(d)] = ring
+                    && follow(d) == Some(a)
+                {
+                    triples.push([a, vertex, c]);
+                    triples.push([b, vertex, d]);
+                }
+            }
+            _ => {}
+        }
+    }
+    triples
+}
+
+/// Sqrt 2 times the largest distance of a point from the centroid: the side for a square, whichever way it is turned.
+fn width(points: &[Point3<f64>]) -> f64 {
+    let center = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    2f64.sqrt() * points.iter().map(|p| (p.coords - center).norm()).fold(0.0, f64::max)
+}
+
+/// Refuses what the rounds could not index or scale.
+fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error> {
+    let mesh = input.mesh;
+    let count = mesh.vertices.len();
+    if let Some(index) = mesh.vertices.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+        return Err(Error::NotFinite { what: "vertex", index });
+    }
+    let faces: Vec<&[u32]> = mesh.faces().collect();
+    PanelMesh::new(mesh.vertices.clone(), &faces)?;
+    let lists = input.border.iter().chain(input.pins).chain(input.polylines.iter().flatten());
+    if let Some(vertex) = lists.copied().find(|&v| v as usize >= count) {
+        let reason = format!("a border, pin or polyline list refers to vertex {vertex} of {count}");
+        return Err(Error::Degenerate { reason });
+    }
+    let edge = mean_edge_length(mesh);
+    if !(edge > 0.0 && edge.is_finite() && (1.0 / edge).is_finite()) {
+        return Err(Error::Degenerate { reason: format!("the mean edge length of the mesh is {edge}") });
+    }
+    let positive = |name: &'static str, value: f64| {
+        if value > 0.0 && value.is_finite() {
+            Ok(())
+        } else {
+            Err(Error::Argument { name, value: value.to_string(), expected: "a positive number" })
+        }
+    };
+    positive("target", options.target)?;
+    positive("anchor", options.anchor)?;
+    positive("deviation", options.deviation.unwrap_or(1.0))?;
+    for (name, value) in [("closeness", options.closeness), ("border", options.border), ("fairness", options.fairness)]
+    {
+        if !(value >= 0.0 && value.is_finite()) {
+            return Err(Error::Argument { name, value: value.to_string(), expected: "a number that is not negative" });
+        }
+    }
+    Ok(())
+}
+
+/// Penalty on the squared constraint residuals, in units of the soft terms' weights; only the speed of the multiplier
+/// updates depends on it.
+const PENALTY: f64 = 1e5;
+
+/// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
+const UPDATES: usize = 3;
+
+/// Longest step of a vertex in one round, in mean edge lengths.
+const LONGEST_STEP: f64 = 0.3;
+
+/// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
+const STEP_TOLERANCE: f64 = 2e-3;
+
+/// Motion, in mean edge lengths, below which a vertex keeps its closest point's tangent plane.
+const STALE: f64 = 1e-2;
+
+/// Length of an edge over its length at the start, below which a mesh counts as spoiled.
+const COLLAPSED: f64 = 0.05;
+
+/// Deviation over its limit up to which a planar mesh is preferred to a closer one that is not planar.
+const PLANAR_ALLOWANCE: f64 = 3.0;
+
+/// The equations of one face.
+struct FaceEquations {
+    normal: Vector3<f64>,
+    /// Projector onto what an affine function on the face's plane cannot reach, k x k, row by row.
+    projector: Vec<f64>,
+    /// Projector times n . v_i, in mean edge lengths.
+    residual: Vec<f64>,
+}
+
+impl FaceEquations {
+    /// `None` for triangles and for faces on a line, which are planar.
+    fn new(corners: &[Vector3<f64>]) -> Option<Self> {
+        let count = corners.len();
+        if count < 4 {
+            return None;
+        }
+        let center: Vector3<f64> = corners.iter().sum::<Vector3<f64>>() / count as f64;
+        let local: Vec<Vector3<f64>> = corners.iter().map(|p| p - center).collect();
+        let area: Vector3<f64> = (0..count).map(|k| local[k].cross(&local[(k + 1) % count])).sum();
+        let spread: f64 = local.iter().map(|p| p.norm_squared()).sum();
+        let normal = area.try_normalize(1e-12 * spread)?;
+        let longest = local.iter().max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()))?;
+        let e1 = (longest - normal * normal.dot(longest)).try_normalize(1e-300)?;
+        let e2 = normal.cross(&e1);
+        let mut x: Vec<f64> = local.iter().map(|p| p.dot(&e1)).collect();
+        let mut y: Vec<f64> = local.iter().map(|p| p.dot(&e2)).collect();
+        // Gram-Schmidt; both are already orthogonal to the constant vector.
+        let norm = |v: &[f64]| v.iter().map(|t| t * t).sum::<f64>().sqrt();
+        let nx = norm(&x);
+        x.iter_mut().for_each(|t| *t /= nx);
+        let xy: f64 = x.iter().zip(&y).map(|(a, b)| a * b).sum();
+        y.iter_mut().zip(&x).for_each(|(b, a)| *b -= xy * a);
+        let ny = norm(&y);
+        if !(ny > 1e-9 * nx) {
+            return None;
+        }
+        y.iter_mut().for_each(|t| *t /= ny);
+        let mut projector = vec![0.0; count * count];
+        for i in 0..count {
+            for j in 0..count {
+                let identity = if i == j { 1.0 } else { 0.0 };
+                projector[i * count + j] = identity - 1.0 / count as f64 - x[i] * x[j] - y[i] * y[j];
+            }
+        }
+        let heights: Vec<f64> = local.iter().map(|p| normal.dot(p)).collect();
+        let residual = product(&projector, &heights);
+        Some(Self { normal, projector, residual })
+    }
+}
+
+fn product(matrix: &[f64], vector: &[f64]) -> Vec<f64> {
+    matrix.chunks_exact(vector.len()).map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum()).collect()
+}
+
+/// The lower triangle of a symmetric matrix of 3 x 3 blocks in CSC, with the pattern fixed once.
+struct BlockMatrix {
+    matrix: CsMat<f64>,
+    /// For each block column, its start in `below`.
+    starts: Vec<usize>,
+    /// Block rows below the diagonal, ascending in each column.
+    below: Vec<u32>,
+    /// Start of each scalar column in the values.
+    columns: Vec<usize>,
+}
+
+impl BlockMatrix {
+    /// A matrix of `size` blocks a side, with blocks at `pairs` and on the diagonal.
+    fn new(size: usize, mut pairs: Vec<[u32; 2]>) -> Self {
+        pairs.iter_mut().for_each(|p| p.sort_unstable());
+        pairs.retain(|p| p[0] != p[1]);
+        pairs.sort_unstable();
+        pairs.dedup();
+        let mut starts = vec![0; size + 1];
+        for p in &pairs {
+            starts[p[0] as usize + 1] += 1;
+        }
+        for i in 0..size {
+            starts[i + 1] += starts[i];
+        }
+        let below: Vec<u32> = pairs.iter().map(|p| p[1]).collect();
+        let mut columns = Vec::with_capacity(3 * size + 1);
+        let mut rows = vec![];
+        columns.push(0);
+        for j in 0..size {
+            for b in 0..3 {
+                rows.extend((b..3).map(|a| 3 * j + a));
+                for &i in &below[starts[j]..starts[j + 1]] {
+                    rows.extend((0..3).map(|a| 3 * i as usize + a));
+                }
+                columns.push(rows.len());
+            }
+        }
+        let values = vec![0.0; rows.len()];
+        let matrix = CsMat::new_csc((3 * size, 3 * size), columns.clone(), rows, values);
+        Self { matrix, starts, below, columns }
+    }
+
+    fn clear(&mut self) {
+        self.matrix.data_mut().fill(0.0);
+    }
+
+    /// Adds `block` at block row i, block column j, and means its transpose at (j, i); for i = j a symmetric block.
+    fn add(&mut self, i: u32, j: u32, block: &Matrix3<f64>) {
+        if i < j {
+            return self.add(j, i, &block.transpose());
+        }
+        let column = j as usize;
+        let values = self.matrix.data_mut();
+        if i == j {
+            for b in 0..3 {
+                for a in b..3 {
+                    values[self.columns[3 * column + b] + a - b] += block[(a, b)];
+                }
+            }
+        } else {
+            let range = &self.below[self.starts[column]..self.starts[column + 1]];
+            let place = range.binary_search(&i).expect("every added block is in the pattern");
+            for b in 0..3 {
+                let start = self.columns[3 * column + b] + 3 - b + 3 * place;
+                for a in 0..3 {
+                    values[start + a] += block[(a, b)];
+                }
+            }
+        }
+    }
+}
+
+/// What a round aims at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    /// Minimum of the soft terms under the constraints.
+    Balance,
+    /// The nearest planar mesh.
+    Project,
+    /// Minimum of soft terms plus this multiple of the squared residuals.
+    Penalty(f64),
+}
+
+struct State<'a> {
+    input: &'a PlanarizeInput<'a>,
+    reference: &'a dyn Reference,
+    options: &'a PlanarizeOptions,
+    /// Mean edge length of the input: the unit of all residuals.
+    edge: f64,
+    limit: f64,
+    vertices: Vec<Point3<f64>>,
+    on_border: Vec<bool>,
+    pinned: Vec<bool>,
+    feet: Vec<Foot>,
+    /// Where each foot was asked for.
+    asked: Vec<Point3<f64>>,
+    /// Factor on the closeness and border weight of each vertex.
+    emphasis: Vec<f64>,
+    /// Multipliers of each face, one for each corner.
+    multipliers: Vec<Vec<f64>>,
+    edges: Vec<[u32; 2]>,
+    matrix: BlockMatrix,
+    symbolic: SymbolicCholesky,
+    rounds: usize,
+}
+
+impl<'a> State<'a> {
+    fn new(
+        input: &'a PlanarizeInput<'a>,
+        reference: &'a dyn Reference,
+        options: &'a PlanarizeOptions,
+        edge: f64,
+        limit: f64,
+    ) -> Result<Self, Error> {
+        let count = input.mesh.vertices.len();
+        let mut on_border = vec![false; count];
+        input.border.iter().for_each(|&v| on_border[v as usize] = true);
+        let mut pinned = vec![false; count];
+        input.pins.iter().for_each(|&v| pinned[v as usize] = true);
+        let mut pairs = vec![];
+        let groups = input.mesh.faces().filter(|f| f.len() > 3);
+        for group in groups.chain(input.polylines.iter().map(|t| t.as_slice())) {
+            for (k, &a) in group.iter().enumerate() {
+                pairs.extend(group[..k].iter().map(|&b| [a, b]));
+            }
+        }
+        let edges = edges(input.mesh);
+        pairs.extend_from_slice(&edges);
+        let matrix = BlockMatrix::new(count, pairs);
+        let symbolic = SymbolicCholesky::new(&matrix.matrix)?;
+        let vertices = input.mesh.vertices.clone();
+        let mut state = Self {
+            input,
+            reference,
+            options,
+            edge,
+            limit,
+            asked: vertices.clone(),
+            vertices,
+            on_border,
+            pinned,
+            feet: vec![],
+            emphasis: vec![1.0; count],
+            multipliers: input.mesh.faces().map(|f| vec![0.0; f.len()]).collect(),
+            edges,
+            matrix,
+            symbolic,
+            rounds: 0,
+        };
+        if !state.vertices.is_empty() && reference.closest_on_border(&state.vertices[0], None).is_none() {
+            state.on_border.fill(false);
+        }
+        state.feet = (0..count).map(|v| state.ask(v, None)).collect();
+        if let Some(index) =
+            state.feet.iter().position(|f| !f.point.iter().chain(f.direction.iter()).all(|x| x.is_finite()))
+        {
+            return Err(Error::NotFinite { what: "closest point on the reference of vertex", index });
+        }
+        Ok(state)
+    }
+
+    fn ask(&self, vertex: usize, hint: Option<[f64; 2]>) -> Foot {
+        let point = &self.vertices[vertex];
+        let border = if self.on_border[vertex] { self.reference.closest_on_border(point, hint) } else { None };
+        border.unwrap_or_else(|| self.reference.closest(point, hint))
+    }
+
+    /// Asks again for the closest points of vertices that moved by more than `tolerance` mean edges.
+    fn refresh(&mut self, tolerance: f64) {
+        for v in 0..self.vertices.len() {
+            if (self.vertices[v] - self.asked[v]).norm() > tolerance * self.edge {
+                self.feet[v] = self.ask(v, Some(self.feet[v].parameters));
+                self.asked[v] = self.vertices[v];
+            }
+        }
+    }
+
+    /// Largest planarity, and largest deviation over the limit.
+    fn measure(&self) -> (f64, f64) {
+        let mesh = PanelMesh { vertices: self.vertices.clone(), ..self.input.mesh.clone() };
+        let worst = planarity(&mesh).into_iter().fold(0.0, f64::max);
+        let far = (0..self.vertices.len()).map(|v| self.distance(v)).fold(0.0, f64::max);
+        (worst, far / self.limit)
+    }
+
+    /// Distance of a vertex from the reference, exact to second order in its motion since its foot was asked for.
+    fn distance(&self, vertex: usize) -> f64 {
+        let offset = self.vertices[vertex] - self.feet[vertex].point;
+        if self.on_border[vertex] && self.asked[vertex] != self.vertices[vertex] {
+            let t = self.feet[vertex].direction;
+            (offset - t * t.dot(&offset)).norm()
+        } else if self.asked[vertex] != self.vertices[vertex] {
+            self.feet[vertex].direction.dot(&offset).abs()
+        } else {
+            offset.norm()
+        }
+    }
+
+    /// Whether a face turned over or an edge all but collapsed, compared with the start.
+    fn is_spoiled(&self) -> bool {
+        let before = &self.input.mesh.vertices;
+        let area = |vertices: &[Point3<f64>], face: &[u32]| -> Vector3<f64> {
+            let origin = vertices[face[0] as usize];
+            (1..face.len() - 1)
+                .map(|k| (vertices[face[k] as usize] - origin).cross(&(vertices[face[k + 1] as usize] - origin)))
+                .sum()
+        };
+        let length = |vertices: &[Point3<f64>], [a, b]: [u32; 2]| (vertices[a as usize] - vertices[b as usize]).norm();
+        let turned = |face: &[u32]| {
+            let start = area(before, face);
+            start.dot(&area(&self.vertices, face)) < 0.0
+        };
+        let collapsed = |edge: [u32; 2]| length(&self.vertices, edge) < COLLAPSED * length(before, edge);
+        self.input.mesh.faces().any(turned) || self.edges.iter().any(|e| collapsed(*e))
+    }
+
+    fn run(&mut self, control: &Control) -> Result<(), Error> {
+        let start = self.vertices.clone();
+        for attempt in 0..6 {
+            let mut previous = f64::INFINITY;
+            for _ in 0..25 {
+                if self.rounds >= self.options.rounds {
+                    break;
+                }
+                let step = self.round(Phase::Balance, control)?;
+                // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
+                if step < STEP_TOLERANCE || (step > 0.7 * previous && step < 50.0 * STEP_TOLERANCE) {
+                    break;
+                }
+                previous = step;
+            }
+            self.refresh(STALE);
+            let (_, far) = self.measure();
+            if far <= 0.9 || attempt == 5 || self.rounds + 6 >= self.options.rounds {
+                break;
+            }
+            for v in 0..self.vertices.len() {
+                let ratio = self.distance(v) / (0.7 * self.limit);
+                self.emphasis[v] *= (ratio * ratio).clamp(1.0, 30.0);
+            }
+        }
+        self.project(control)?;
+        let (_, far) = self.measure();
+        if far <= PLANAR_ALLOWANCE && !self.is_spoiled() {
+            return Ok(());
+        }
+
+        // Planar and close contradict each other: the stiffest penalty that keeps within the deviation.
+        self.vertices = start;
+        self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
+        self.emphasis.fill(1.0);
+        self.refresh(0.0);
+        let mut best = (self.vertices.clone(), self.measure());
+        for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
+            for _ in 0..6 {
+                if self.round(Phase::Penalty(penalty), control)? < STEP_TOLERANCE {
+                    break;
+                }
+            }
+            self.refresh(0.0);
+            let measured = self.measure();
+            if measured.1 > 1.0 || self.is_spoiled() {
+                break;
+            }
+            if measured.0 < best.1.0 {
+                best = (self.vertices.clone(), measured);
+            }
+        }
+        self.vertices = best.0;
+        self.refresh(0.0);
+        Ok(())
+    }
+
+    /// Rounds of projection until the residuals are at rounding level.
+    fn project(&mut self, control: &Control) -> Result<(), Error> {
+        let mut best = (self.vertices.clone(), self.measure().0);
+        for _ in 0..8 {
+            if best.1 <= 1e-12 {
+                break;
+            }
+            self.round(Phase::Project, control)?;
+            let worst = self.measure().0;
+            if !(worst < 0.5 * best.1) {
+                if worst < best.1 {
+                    best = (self.vertices.clone(), worst);
+                }
+                break;
+            }
+            best = (self.vertices.clone(), worst);
+        }
+        self.vertices = best.0;
+        self.refresh(0.0);
+        Ok(())
+    }
+
+    /// One Newton round; returns the longest step of a vertex in mean edges.
+    fn round(&mut self, phase: Phase, control: &Control) -> Result<f64, Error> {
+        control.check()?;
+        self.rounds += 1;
+        if phase != Phase::Project {
+            self.refresh(STALE);
+        }
+        let mesh = self.input.mesh;
+        let count = self.vertices.len();
+        let gradient = self.soft_terms(phase);
+
+        let penalty = if let Phase::Penalty(penalty) = phase { penalty } else { PENALTY };
+        let mut equations = Vec::with_capacity(mesh.face_count());
+        for (f, face) in mesh.faces().enumerate() {
+            let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
+            let equation = FaceEquations::new(&corners);
+            if let Some(equation) = &equation {
+                let block = equation.normal * equation.normal.transpose() * penalty;
+                for i in 0..face.len() {
+                    for j in 0..=i {
+                        if !self.pinned[face[i] as usize] && !self.pinned[face[j] as usize] {
+                            self.matrix.add(face[i], face[j], &(block * equation.projector[i * face.len() + j]));
+                        }
+                    }
+                }
+                // Only what the present equations can transmit.
+                self.multipliers[f] = product(&equation.projector, &self.multipliers[f]);
+            }
+            equations.push(equation);
+        }
+        let factor = self.symbolic.factorize(&self.matrix.matrix, "planarization")?;
+
+        let mut step = vec![0.0; 3 * count];
+        let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
+        for _ in 0..updates {
+            step.iter_mut().zip(&gradient).for_each(|(s, g)| *s = -g);
+            for (f, face) in mesh.faces().enumerate() {
+                let Some(equation) = &equations[f] else { continue };
+                for (k, &v) in face.iter().enumerate() {
+                    let force = equation.normal * (self.multipliers[f][k] + penalty * equation.residual[k]);
+                    (0..3).for_each(|a| step[3 * v as usize + a] -= force[a]);
+                }
+            }
+            for v in (0..count).filter(|&v| self.pinned[v]) {
+                step[3 * v..3 * v + 3].fill(0.0);
+            }
+            factor.solve(&mut step);
+            if updates == 1 {
+                break;
+            }
+            for (f, face) in mesh.faces().enumerate() {
+                let Some(equation) = &equations[f] else { continue };
+                let moved: Vec<f64> =
+                    face.iter().map(|&v| (0..3).map(|a| equation.normal[a] * step[3 * v as usize + a]).sum()).collect();
+                for (k, change) in product(&equation.projector, &moved).into_iter().enumerate() {
+                    self.multipliers[f][k] += penalty * (equation.residual[k] + change);
+                }
+            }
+        }
+
+        let longest = step.chunks_exact(3).map(|s| Vector3::from_row_slice(s).norm()).fold(0.0, f64::max);
+        if !longest.is_finite() {
+            return Err(Error::Degenerate { reason: "a planarization step is not finite".into() });
+        }
+        let scale = self.edge * (LONGEST_STEP / longest).min(1.0);
+        for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
+            *point += Vector3::from_row_slice(s) * scale;
+        }
+        Ok(longest.min(LONGEST_STEP))
+    }
+
+    /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
+    fn soft_terms(&mut self, phase: Phase) -> Vec<f64> {
+        let options = self.options;
+        let count = self.vertices.len();
+        let mut gradient = vec![0.0; 3 * count];
+        self.matrix.clear();
+        let with_gradient = phase != Phase::Project;
+        for v in 0..count {
+            if self.pinned[v] {
+                self.matrix.add(v as u32, v as u32, &Matrix3::identity());
+                continue;
+            }
+            let foot = &self.feet[v];
+            let d = foot.direction;
+            let along = d * d.transpose();
+            let block = if self.on_border[v] {
+                (Matrix3::identity() - along) * (options.border * self.emphasis[v])
+            } else {
+                along * (options.closeness * self.emphasis[v])
+            };
+            self.matrix.add(v as u32, v as u32, &(block + Matrix3::identity() * options.anchor));
+            if with_gradient {
+                let offset = (self.vertices[v] - foot.point) / self.edge;
+                let drift = (self.vertices[v] - self.input.mesh.vertices[v]) / self.edge;
+                let g = block * offset + drift * options.anchor;
+                (0..3).for_each(|a| gradient[3 * v + a] += g[a]);
+            }
+        }
+        for &[v, w] in &self.edges {
+            let (before, after) = (
+                self.input.mesh.vertices[w as usize] - self.input.mesh.vertices[v as usize],
+                self.vertices[w as usize] - self.vertices[v as usize],
+            );
+            // A collapsed edge would make its faces planar: hold shrinking edges ever more firmly.
+            let left = (2.0 * after.norm() / before.norm().max(f64::MIN_POSITIVE)).clamp(1e-2, 1.0);
+            let weight = options.stretch / (left * left);
+            let change = (after - before) * (weight / self.edge);
+            let block = Matrix3::identity() * weight;
+            for (a, b, sign) in [(v, w, -1.0), (w, v, 1.0)] {
+                if self.pinned[a as usize] {
+                    continue;
+                }
+                self.matrix.add(a, a, &block);
+                if a > b && !self.pinned[b as usize] {
+                    self.matrix.add(a, b, &-block);
+                }
+                if with_gradient {
+                    (0..3).for_each(|k| gradient[3 * a as usize + k] += sign * change[k]);
+                }
+            }
+        }
+        for triple in self.input.polylines {
+            let factors = [1.0, -2.0, 1.0];
+            let mut change = Vector3::zeros();
+            for (&v, c) in triple.iter().zip(factors) {
+                change += (self.vertices[v as usize] - self.input.mesh.vertices[v as usize]) * (c / self.edge);
+            }
+            for (i, &v) in triple.iter().enumerate() {
+                if self.pinned[v as usize] {
+                    continue;
+                }
+                for (j, &w) in triple.iter().enumerate().take(i + 1) {
+                    if !self.pinned[w as usize] {
+                        // A pair of places held by one vertex counts in both orders.
+                        let twice = if i != j && v == w { 2.0 } else { 1.0 };
+                        let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
+                        self.matrix.add(v, w, &block);
+                    }
+                }
+                if with_gradient {
+                    let g = change * (options.fairness * factors[i]);
+                    (0..3).for_each(|a| gradient[3 * v as usize + a] += g[a]);
+                }
+            }
+        }
+        gradient
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Rotation3, Translation3};
+
+    /// A grid of (nu + 1) x (nv + 1) vertices over [0, 1]^2.
+    fn grid(nu: u32, nv: u32, at: impl Fn(f64, f64) -> [f64; 3]) -> PanelMesh {
+        let vertices = (0..=nu)
+            .flat_map(|i| (0..=nv).map(move |j| (i as f64 / nu as f64, j as f64 / nv as f64)))
+            .map(|(s, t)| Point3::from(at(s, t)))
+            .collect();
+        let faces: Vec<[u32; 4]> = (0..nu * nv)
+            .map(|k| {
+                let a = k / nv * (nv + 1) + k % nv;
+                [a, a + nv + 1, a + nv + 2, a + 1]
+            })
+            .collect();
+        PanelMesh::new(vertices, &faces).unwrap()
+    }
+
+    /// A repeatable perturbation of size `size`.
+    fn shaken(mesh: &PanelMesh, size: f64) -> PanelMesh {
+        let noise = |k: f64| (k * 12.9898).sin() * 43758.5453 % 1.0;
+        let vertices = mesh
+            .vertices
+            .iter()
+            .enumerate()
+            .map(|(i, p)| p + Vector3::from_fn(|a, _| noise((3 * i + a + 1) as f64)) * size)
+            .collect();
+        PanelMesh { vertices, ..mesh.clone() }
+    }
+
+    struct Implicit<F: Fn(&Point3<f64>) -> (Point3<f64>, Vector3<f64>)>(F);
+
+    impl<F: Fn(&Point3<f64>) -> (Point3<f64>, Vector3<f64>)> Reference for Implicit<F> {
+        fn closest(&self, point: &Point3<f64>, _: Option<[f64; 2]>) -> Foot {
+            let (point, direction) = (self.0)(point);
+            Foot { point, direction, parameters: [0.0; 2] }
+        }
+        fn closest_on_border(&self, _: &Point3<f64>, _: Option<[f64; 2]>) -> Option<Foot> {
+            None
+        }
+    }
+
+    fn run(mesh: &PanelMesh, reference: Option<&dyn Reference>) -> Planarized {
+        let (border, polylines) = (border_vertices(mesh), grid_polylines(mesh));
+        let input = PlanarizeInput { mesh, reference, border: &border, pins: &[], polylines: &polylines };
+        planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap()
+    }
+
+    fn farthest(a: &PanelMesh, b: &PanelMesh) -> f64 {
+        a.vertices.iter().zip(&b.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+    }
+
+    fn translational(s: f64, t: f64) -> [f64; 3] {
+        [8.0 * s, 6.0 * t, (3.0 * s).sin() + 1.5 * (2.0 * t).cos()]
+    }
+
+    /// Quads on a sphere of radius 5 that are not planar.
+    fn skew_sphere(n: u32) -> PanelMesh {
+        grid(n, n, |s, t| {
+            let (a, b) = (1.6 * (s - 0.5), 1.4 * (t - 0.5));
+            (Vector3::new(a.tan(), b.tan() + 0.2 * a, 1.0).normalize() * 5.0).into()
+        })
+    }
+
+    fn sphere() -> impl Reference {
+        Implicit(|p: &Point3<f64>| {
+            let n = p.coords.normalize();
+            (Point3::from(n * 5.0), n)
+        })
+    }
+
+    /// The saddle z = (x^2 - y^2) / 8 over a square, on a net turned by `degrees` from its principal net.
+    fn saddle(degrees: f64) -> PanelMesh {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        grid(16, 16, move |s, t| {
+            let (x, y) = (6.0 * (s - 0.5), 6.0 * (t - 0.5));
+            let (x, y) = (x * cos - y * sin, x * sin + y * cos);
+            [x, y, (x * x - y * y) / 8.0]
+        })
+    }
+
+    #[test]
+    fn a_translational_net_is_left_alone() {
+        let mesh = grid(16, 12, translational);
+        let result = run(&mesh, None);
+        assert!(farthest(&mesh, &result.mesh) < 1e-9 && result.is_planar && result.is_close);
+    }
+
+    #[test]
+    fn a_shaken_translational_net_becomes_planar() {
+        let mesh = shaken(&grid(16, 12, translational), 0.02);
+        let result = run(&mesh, None);
+        assert!(result.planarity_max() < 1e-10 && result.is_close && result.rounds < 20, "{}", result.rounds);
+    }
+
+    #[test]
+    fn nets_on_curved_surfaces_become_planar_and_stay_close() {
+        let mesh = skew_sphere(16);
+        let result = run(&mesh, Some(&sphere()));
+        assert!(planarity(&mesh).into_iter().fold(0.0, f64::max) > 1e-2);
+        assert!(result.planarity_max() < 1e-10 && result.is_close && result.rounds < 20);
+
+        for degrees in [5.0, 10.0, 20.0] {
+            let mesh = saddle(degrees);
+            let reference = MeshReference::from_panels(&mesh);
+            let result = run(&mesh, Some(&reference));
+            assert!(result.planarity_max() < 1e-8 && result.is_close, "{degrees}: {}", result.deviation_max());
+        }
+    }
+
+    #[test]
+    fn rulings_of_a_saddle_are_given_up_with_numbers() {
+        // All edges asymptotic: no planar net close to the surface has this layout.
+        let mesh = saddle(45.0);
+        let result = run(&mesh, None);
+        let before = planarity(&mesh).into_iter().fold(0.0, f64::max);
+        assert!(result.planarity_max() <= before && result.deviation_max() <= 3.0 * result.deviation_limit);
+        assert_eq!(result.is_planar, result.planarity_max() <= 1e-6);
+        assert!(!result.is_planar || !result.is_close);
+    }
+
+    #[test]
+    fn newton_converges_quadratically() {
+        let mesh = skew_sphere(12);
+        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
+        let options = PlanarizeOptions::default();
+        let reference = sphere();
+        let edge = mean_edge_length(&mesh);
+        let mut state = State::new(&input, &reference, &options, edge, 0.1).unwrap();
+        let mut trace = vec![state.measure().0];
+        for _ in 0..8 {
+            state.round(Phase::Project, &Control::default()).unwrap();
+            trace.push(state.measure().0);
+        }
+        let fast = trace.windows(2).any(|w| w[0] < 1e-3 && w[0] > 1e-6 && w[1] < 30.0 * w[0] * w[0]);
+        assert!(fast && trace[8] < 1e-12, "{trace:?}");
+    }
+
+    #[test]
+    fn face_equations_match_finite_differences_on_planar_faces() {
+        let flat = [[0.0, 0.0], [1.1, -0.2], [1.7, 0.8], [0.9, 1.6], [-0.3, 0.9]];
+        let frame = Rotation3::from_euler_angles(0.4, -1.1, 2.0);
+        for count in [4, 5] {
+            let corners: Vec<Vector3<f64>> =
+                flat[..count].iter().map(|p| frame * Vector3::new(p[0], p[1], 0.3)).collect();
+            let equation = FaceEquations::new(&corners).unwrap();
+            let h = 1e-6;
+            for corner in 0..count {
+                for axis in 0..3 {
+                    let value = |sign: f64| {
+                        let mut moved = corners.clone();
+                        moved[corner][axis] += sign * h;
+                        FaceEquations::new(&moved).unwrap().residual
+                    };
+                    for (k, (a, b)) in value(1.0).iter().zip(value(-1.0)).enumerate() {
+                        let expected = equation.projector[k * count + corner] * equation.normal[axis];
+                        assert!(((a - b) / (2.0 * h) - expected).abs() < 1e-8);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn soft_gradient_matches_finite_differences() {
+        let mesh = grid(4, 3, translational);
+        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[7], polylines: &polylines };
+        let options = PlanarizeOptions::default();
+        let reference = MeshReference::from_panels(&mesh);
+        let edge = mean_edge_length(&mesh);
+        let mut state = State::new(&input, &reference, &options, edge, 0.1).unwrap();
+        state.vertices = shaken(&mesh, 0.05).vertices;
+        state.vertices[7] = mesh.vertices[7];
+        // Feet held where they were asked for.
+        let energy = |state: &State| {
+            let mut sum = 0.0;
+            for v in 0..state.vertices.len() {
+                let offset = (state.vertices[v] - state.feet[v].point) / edge;
+                let along = state.feet[v].direction.dot(&offset);
+                sum += if state.on_border[v] {
+                    options.border * (offset.norm_squared() - along * along)
+                } else {
+                    options.closeness * along * along
+                };
+                sum += options.anchor * ((state.vertices[v] - mesh.vertices[v]) / edge).norm_squared();
+            }
+            let change = |v: u32| (state.vertices[v as usize] - mesh.vertices[v as usize]) / edge;
+            for &[a, b] in &state.edges {
+                sum += options.stretch * (change(b) - change(a)).norm_squared();
+            }
+            for &[a, b, c] in &polylines {
+                sum += options.fairness * (change(a) - change(b) * 2.0 + change(c)).norm_squared();
+            }
+            sum
+        };
+        let gradient = state.soft_terms(Phase::Balance);
+        for v in (0..state.vertices.len()).filter(|&v| v != 7) {
+            for axis in 0..3 {
+                let h = 1e-5;
+                let start = state.vertices[v];
+                state.vertices[v][axis] = start[axis] + h;
+                let above = energy(&state);
+                state.vertices[v][axis] = start[axis] - h;
+                let below = energy(&state);
+                state.vertices[v] = start;
+                // The energy is a sum of squares without the factor one half, its unit is the mean edge.
+                let difference = (above - below) / (2.0 * h) * edge / 2.0;
+                assert!((difference - gradient[3 * v + axis]).abs() < 1e-6 * (1.0 + difference.abs()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_single_quad_ends_on_its_best_plane() {
+        let h = 0.1;
+        let vertices = [[1.0, 0.0, h], [0.0, 1.0, -h], [-1.0, 0.0, h], [0.0, -1.0, -h]].map(Point3::from).to_vec();
+        let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
+        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &[], pins: &[], polylines: &[] };
+        let options = PlanarizeOptions { closeness: 0.0, deviation: Some(1.0), ..PlanarizeOptions::default() };
+        let result = planarize(&input, &options, &Control::default()).unwrap();
+        assert!(result.mesh.vertices.iter().all(|p| p.z.abs() < 1e-9 && (p.coords.xy().norm() - 1.0).abs() < 1e-3));
+    }
+
+    #[test]
+    fn the_answer_follows_motion_scale_and_renumbering() {
+        let mesh = skew_sphere(6);
+        let expected = run(&mesh, Some(&sphere())).mesh;
+
+        let motion = Translation3::new(30.0, -7.0, 2.0) * Rotation3::from_euler_angles(0.3, 1.0, -2.0);
+        let count = mesh.vertices.len() as u32;
+        let moved = mesh.vertices.iter().rev().map(|p| motion * (p * 40.0)).collect();
+        let faces: Vec<Vec<u32>> = mesh.faces().map(|f| f.iter().map(|v| count - 1 - v).collect()).collect();
+        let center = motion * Point3::origin();
+        let moved_sphere = Implicit(|p: &Point3<f64>| {
+            let n = (p - center).normalize();
+            (center + n * 200.0, n)
+        });
+        let result = run(&PanelMesh::new(moved, &faces).unwrap(), Some(&moved_sphere)).mesh;
+        for (p, q) in expected.vertices.iter().rev().zip(&result.vertices) {
+            assert!((motion * (p * 40.0) - q).norm() < 40.0 * 1e-6, "{}", (motion * (p * 40.0) - q).norm());
+        }
+    }
+
+    #[test]
+    fn pins_hold_exactly() {
+        let mesh = skew_sphere(8);
+        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let pins = [0, 8, 40, 72, 80];
+        let reference = sphere();
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: Some(&reference),
+            border: &border,
+            pins: &pins,
+            polylines: &polylines,
+        };
+        let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+        assert!(result.planarity_max() < 1e-10);
+        for v in pins {
+            assert_eq!(mesh.vertices[v as usize], result.mesh.vertices[v as usize]);
+        }
+    }
+
+    #[test]
+    fn border_vertices_stay_on_the_border() {
+        let mesh = saddle(10.0);
+        let result = run(&mesh, None);
+        assert!(result.is_planar && result.is_close);
+        let reference = MeshReference::from_panels(&mesh);
+        for v in border_vertices(&mesh) {
+            let p = result.mesh.vertices[v as usize];
+            let off = (reference.closest_on_border(&p, None).unwrap().point - p).norm();
+            assert!(off < 5e-3 * 6.0 && (off - result.deviation[v as usize]).abs() < 1e-12, "{off}");
+        }
+    }
+
+    #[test]
+    fn larger_polygons_become_planar() {
+        // A honeycomb on a sphere.
+        let place = |x: f64, y: f64| Point3::new(x, y, (25.0 - x * x - y * y).sqrt());
+        let (n, side) = (6, 0.35);
+        let mut vertices: Vec<Point3<f64>> = vec![];
+        let mut faces = vec![];
+        for row in 0..n {
+            for column in 0..n {
+                let x = (column as f64 + 0.5 * (row % 2) as f64 - 2.7) * side * 3f64.sqrt();
+                let y = (row as f64 - 2.5) * side * 1.5;
+                let mut face = vec![];
+                for k in 0..6 {
+                    let angle = (k as f64 + 0.5) * std::f64::consts::FRAC_PI_3;
+                    let p = place(x + side * angle.cos(), y + side * angle.sin());
+                    let index = vertices.iter().position(|q| (q - p).norm() < 1e-6).unwrap_or_else(|| {
+                        vertices.push(p);
+                        vertices.len() - 1
+                    });
+                    face.push(index as u32);
+                }
+                faces.push(face);
+            }
+        }
+        let mesh = shaken(&PanelMesh::new(vertices, &faces).unwrap(), 0.01);
+        let result = run(&mesh, Some(&sphere()));
+        assert!(planarity(&mesh).into_iter().fold(0.0, f64::max) > 1e-2);
+        assert!(result.planarity_max() < 1e-10 && result.is_close, "{:?}", result.planarity_max());
+    }
+
+    #[test]
+    fn hopeless_pins_give_a_result_with_numbers() {
+        let vertices = [[1.0, 0.0, 0.3], [0.0, 1.0, -0.3], [-1.0, 0.0, 0.3], [0.0, -1.0, -0.3]];
+        let mesh = PanelMesh::new(vertices.map(Point3::from).to_vec(), &[[0u32, 1, 2, 3]]).unwrap();
+        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &[], pins: &[0, 1, 2, 3], polylines: &[] };
+        let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+        assert!(!result.is_planar && result.mesh == mesh);
+    }
+
+    #[test]
+    fn degenerate_input_gives_an_error_or_a_finite_mesh() {
+        let options = PlanarizeOptions::default();
+        let try_on = |mesh: &PanelMesh| {
+            let (border, polylines) = (border_vertices(mesh), grid_polylines(mesh));
+            let input = PlanarizeInput { mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
+            planarize(&input, &options, &Control::default())
+        };
+        let good = grid(3, 3, translational);
+        let mut collapsed = good.clone();
+        collapsed.vertices[5] = collapsed.vertices[6];
+        let result = try_on(&collapsed).unwrap();
+        assert!(result.mesh.vertices.iter().all(|p| p.iter().all(|x| x.is_finite())));
+
+        let mut broken = good.clone();
+        broken.vertices[2].x = f64::NAN;
+        assert!(matches!(try_on(&broken), Err(Error::NotFinite { index: 2, .. })));
+        let point = PanelMesh { vertices: vec![Point3::origin(); 16], ..good.clone() };
+        assert!(matches!(try_on(&point), Err(Error::Degenerate { .. })));
+        assert!(matches!(try_on(&PanelMesh::default()), Err(Error::Degenerate { .. })));
+
+        let triangle = PanelMesh::new(good.vertices[..5].to_vec(), &[[0u32, 1, 4]]).unwrap();
+        assert_eq!(try_on(&triangle).unwrap().mesh, triangle);
+        let line = grid(3, 1, |s, t| [s, 0.5 * t, 0.0]);
+        let flat =
+            PanelMesh { vertices: line.vertices.iter().map(|p| Point3::new(p.x + p.y, 0.0, 0.0)).collect(), ..line };
+        assert!(try_on(&flat).unwrap().mesh.vertices.iter().all(|p| p.iter().all(|x| x.is_finite())));
+
+        let control = Control::default();
+        control.cancel();
+        let input = PlanarizeInput { mesh: &good, reference: None, border: &[], pins: &[], polylines: &[] };
+        assert_eq!(planarize(&input, &options, &control).unwrap_err(), Error::Cancelled);
+        let input = PlanarizeInput { pins: &[99], ..input };
+        assert!(matches!(planarize(&input, &options, &Control::default()), Err(Error::Degenerate { .. })));
+    }
+
+    #[test]
+    fn grid_lines_are_found() {
+        let triples = grid_polylines(&grid(4, 3, translational));
+        // 3 x 2 inner vertices with two lines each, 2 (3 + 2) border vertices with one.
+        assert_eq!(triples.len(), 12 + 10);
+        let straight = grid(4, 3, |s, t| [s, t, 0.0]);
+        for [a, b, c] in grid_polylines(&straight) {
+            let [a, b, c] = [a, b, c].map(|v| straight.vertices[v as usize]);
+            assert!(((b - a) - (c - b)).norm() < 1e-12);
+        }
+    }
+}
