@@ -19,10 +19,11 @@ use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 /// length instead, and Liu et al. 2011 measure an angle sum in degrees.
 pub fn planarity(mesh: &PanelMesh) -> Vec<f64> {
     let scale = mean_edge_length(mesh);
-    if !(scale > 0.0) {
-        return vec![0.0; mesh.face_count()];
+    if scale > 0.0 {
+        mesh.faces().map(|face| out_of_plane(mesh, face) / scale).collect()
+    } else {
+        vec![0.0; mesh.face_count()]
     }
-    mesh.faces().map(|face| out_of_plane(mesh, face) / scale).collect()
 }
 
 /// Planarity of one face as [`planarity`] defines it, before the division by the mean edge length.

@@ -300,7 +300,7 @@ impl FaceEquations {
         let xy: f64 = x.iter().zip(&y).map(|(a, b)| a * b).sum();
         y.iter_mut().zip(&x).for_each(|(b, a)| *b -= xy * a);
         let ny = norm(&y);
-        if !(ny > 1e-9 * nx) {
+        if ny <= 1e-9 * nx {
             return None;
         }
         y.iter_mut().for_each(|t| *t /= ny);
@@ -604,7 +604,7 @@ impl<'a> State<'a> {
             }
             self.round(Phase::Project, control)?;
             let worst = self.measure().0;
-            if !(worst < 0.5 * best.1) {
+            if worst >= 0.5 * best.1 {
                 if worst < best.1 {
                     best = (self.vertices.clone(), worst);
                 }

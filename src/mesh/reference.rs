@@ -1,7 +1,7 @@
 //! The shape that a panel mesh should keep to: closest points on a surface and on its border.
 
 use super::panel_mesh::PanelMesh;
-use crate::surface::SurfaceMesh;
+use crate::surface::{SurfaceMesh, SurfaceProjector};
 use nalgebra::{Point3, Vector3};
 use rstar::{AABB, PointDistance, RTree, RTreeObject};
 
@@ -10,7 +10,8 @@ use rstar::{AABB, PointDistance, RTree, RTreeObject};
 pub struct Foot {
     /// The closest point.
     pub point: Point3<f64>,
-    /// Unit normal of the surface there, either sign; for a point on the border the unit tangent of the border.
+    /// Unit normal of the surface there, either sign; for a point on the border the unit tangent of the border, or zero
+    /// at a corner of the border.
     pub direction: Vector3<f64>,
     /// Where the point lies in the reference's own parameters; handed back as the hint of the next query.
     pub parameters: [f64; 2],
@@ -23,6 +24,34 @@ pub trait Reference {
 
     /// Closest point on the border, `None` for a closed surface.
     fn closest_on_border(&self, point: &Point3<f64>, hint: Option<[f64; 2]>) -> Option<Foot>;
+}
+
+impl Reference for SurfaceProjector {
+    fn closest(&self, point: &Point3<f64>, hint: Option<[f64; 2]>) -> Foot {
+        let foot = match hint {
+            Some(start) => self.closest_near(point, start),
+            None => self.closest(point),
+        };
+        Foot { point: foot.position, direction: foot.normal, parameters: foot.parameters }
+    }
+
+    fn closest_on_border(&self, point: &Point3<f64>, _hint: Option<[f64; 2]>) -> Option<Foot> {
+        let foot = self.closest_on_border(point);
+        let [u, v] = foot.parameters;
+        let at = self.surface().evaluate(u, v);
+        let [on_u, on_v] = [0, 1].map(|k| self.surface().knots()[k].domain().contains(&foot.parameters[k]));
+        // On a side u = const the border runs along v.
+        let tangent = match (on_u, on_v) {
+            (true, false) => at.dv,
+            (false, true) => at.du,
+            _ => Vector3::zeros(),
+        };
+        Some(Foot {
+            point: foot.position,
+            direction: tangent.try_normalize(0.0).unwrap_or_default(),
+            parameters: foot.parameters,
+        })
+    }
 }
 
 /// A [`Reference`] made of triangles with smoothly interpolated normals.
@@ -196,6 +225,21 @@ fn closest_in_triangle(corners: &[Point3<f64>; 3], point: &Point3<f64>) -> [f64;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::NurbsSurface;
+
+    #[test]
+    fn feet_on_a_nurbs_surface_carry_normals_and_tangents() {
+        let points = (0..16).map(|k| Point3::new((k / 4) as f64, (k % 4) as f64, 0.0)).collect();
+        let projector = SurfaceProjector::new(&NurbsSurface::uniform(3, [4, 4], points).unwrap());
+        let reference: &dyn Reference = &projector;
+        let foot = reference.closest(&Point3::new(1.3, 2.2, 0.5), None);
+        assert!((foot.point - Point3::new(1.3, 2.2, 0.0)).norm() < 1e-9);
+        assert!((foot.direction.z.abs() - 1.0).abs() < 1e-9);
+        let side = reference.closest_on_border(&Point3::new(1.3, 2.8, 0.5), None).unwrap();
+        assert!((side.point - Point3::new(1.3, 3.0, 0.0)).norm() < 1e-9 && (side.direction.x.abs() - 1.0).abs() < 1e-9);
+        let corner = reference.closest_on_border(&Point3::new(3.5, 3.2, 0.5), None).unwrap();
+        assert!((corner.point - Point3::new(3.0, 3.0, 0.0)).norm() < 1e-9 && corner.direction == Vector3::zeros());
+    }
 
     #[test]
     fn closest_points_beat_a_fine_sampling() {
