@@ -15,6 +15,7 @@
 //! code, [`evaluate`] measures. Imports point downwards only (see CONTRIBUTING.md).
 
 pub mod control;
+pub mod datagen;
 pub mod error;
 pub mod field;
 pub mod mesh;

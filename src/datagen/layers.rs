@@ -1,0 +1,184 @@
+//! The layers of a projected surface: first and second surface point along the view ray of each pixel.
+
+use super::grid::Grid;
+use super::{Reason, Rejection};
+
+/// Half side of the square that the canvas covers in the canonical frame.
+pub(super) const HALF: f64 = 4.0 * 256.0 / 232.0;
+
+/// A surface point seen through a pixel's centre.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hit {
+    /// Camera z, canonical unit.
+    pub z: f64,
+    /// Parameters.
+    pub uv: [f64; 2],
+    /// Whether the side of S_u x S_v faces the viewer.
+    pub front: bool,
+}
+
+/// Hits of an n x n raster over the canvas, nearest first.
+pub(super) struct Layers {
+    /// Pixels in each direction.
+    pub n: usize,
+    /// First and second layer, row by row from the top.
+    pub hits: Vec<[Option<Hit>; 2]>,
+    /// Pixels with more than two layers.
+    pub overfull: usize,
+}
+
+/// Centre of pixel (row, column) of an n x n map, canonical x and y.
+pub(super) fn pixel_center(n: usize, row: usize, column: usize) -> [f64; 2] {
+    let size = 2.0 * HALF / n as f64;
+    [-HALF + (column as f64 + 0.5) * size, HALF - (row as f64 + 0.5) * size]
+}
+
+/// Pixel that holds a canonical point; `None` outside the canvas.
+pub(super) fn pixel_of(n: usize, p: [f64; 2]) -> Option<usize> {
+    let size = 2.0 * HALF / n as f64;
+    let (column, row) = (((p[0] + HALF) / size).floor(), ((HALF - p[1]) / size).floor());
+    let inside = |x: f64| x >= 0.0 && x < n as f64;
+    (inside(column) && inside(row)).then(|| row as usize * n + column as usize)
+}
+
+impl Layers {
+    /// Intersects the view rays of all pixel centres with the triangulated `grid` (canonical frame).
+    pub fn new(grid: &Grid, n: usize) -> Self {
+        let mut layers = Self { n, hits: vec![[None; 2]; n * n], overfull: 0 };
+        let mut count = vec![0u8; n * n];
+        let size = 2.0 * HALF / n as f64;
+        let cells = grid.n as f64;
+        let vertices = (grid.n + 1).pow(2);
+        // Pixel coordinates of every vertex, pixel centres at integers.
+        let screen: Vec<[f64; 2]> = (0..vertices)
+            .map(|k| {
+                let p = grid.position[k];
+                [(p.x + HALF) / size - 0.5, (HALF - p.y) / size - 0.5]
+            })
+            .collect();
+        for i in 0..grid.n {
+            for j in 0..grid.n {
+                for corners in [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]] {
+                    let index = corners.map(|(a, b)| grid.index(i + a, j + b));
+                    let [a, b, c] = index.map(|k| screen[k]);
+                    // Screen y points down, so that a triangle that faces the viewer has negative area here.
+                    let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+                    if area == 0.0 {
+                        continue;
+                    }
+                    let low = |k: usize| a[k].min(b[k]).min(c[k]).ceil().max(0.0) as usize;
+                    let high = |k: usize| a[k].max(b[k]).max(c[k]).floor().min(n as f64 - 1.0);
+                    let (x_end, y_end) = (high(0), high(1));
+                    if x_end < 0.0 || y_end < 0.0 {
+                        continue;
+                    }
+                    for row in low(1)..=y_end as usize {
+                        for column in low(0)..=x_end as usize {
+                            let p = [column as f64, row as f64];
+                            let cross = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
+                                (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+                            };
+                            let weight = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
+                            if weight.iter().any(|&w| w < 0.0) {
+                                continue;
+                            }
+                            let mix = |f: &dyn Fn(usize) -> f64| (0..3).map(|k| weight[k] * f(k)).sum::<f64>();
+                            let hit = Hit {
+                                z: mix(&|k| grid.position[index[k]].z),
+                                uv: [
+                                    mix(&|k| (i + corners[k].0) as f64) / cells,
+                                    mix(&|k| (j + corners[k].1) as f64) / cells,
+                                ],
+                                front: area < 0.0,
+                            };
+                            layers.insert(row * n + column, hit, &mut count);
+                        }
+                    }
+                }
+            }
+        }
+        layers.overfull = count.iter().filter(|&&c| c > 2).count();
+        layers
+    }
+
+    fn insert(&mut self, pixel: usize, hit: Hit, count: &mut [u8]) {
+        let slots = &mut self.hits[pixel];
+        // A centre on the common edge of two triangles is hit twice.
+        if slots.iter().flatten().any(|other| (other.z - hit.z).abs() < 1e-9) {
+            return;
+        }
+        count[pixel] = count[pixel].saturating_add(1);
+        match slots {
+            [None, _] => slots[0] = Some(hit),
+            [Some(first), second] if hit.z > first.z => {
+                *second = Some(*first);
+                *first = hit;
+            }
+            [Some(_), second] => {
+                if second.is_none_or(|s| hit.z > s.z) {
+                    *second = Some(hit);
+                }
+            }
+        }
+    }
+
+    /// Number of pixels in which the visible side faces (front, back), and that have a second layer.
+    pub fn areas(&self) -> [usize; 3] {
+        let mut areas = [0; 3];
+        for [first, second] in &self.hits {
+            if let Some(hit) = first {
+                areas[usize::from(!hit.front)] += 1;
+            }
+            areas[2] += usize::from(second.is_some());
+        }
+        areas
+    }
+
+    /// Checks that the covered pixels form a disk: one piece, no hole.
+    ///
+    /// # Errors
+    /// [`Reason::NotADisk`].
+    pub fn check_disk(&self) -> Result<(), Rejection> {
+        let n = self.n;
+        let filled: Vec<bool> = self.hits.iter().map(|h| h[0].is_some()).collect();
+        let mut seen = vec![false; n * n];
+        let mut pieces = [0; 2];
+        let mut stack = vec![];
+        for start in 0..n * n {
+            if seen[start] {
+                continue;
+            }
+            let inside = filled[start];
+            let mut area = 0;
+            seen[start] = true;
+            stack.push(start);
+            while let Some(k) = stack.pop() {
+                area += 1;
+                let (row, column) = (k / n, k % n);
+                let mut visit = |k: usize| {
+                    if !seen[k] && filled[k] == inside {
+                        seen[k] = true;
+                        stack.push(k);
+                    }
+                };
+                if row > 0 {
+                    visit(k - n);
+                }
+                if row + 1 < n {
+                    visit(k + n);
+                }
+                if column > 0 {
+                    visit(k - 1);
+                }
+                if column + 1 < n {
+                    visit(k + 1);
+                }
+            }
+            // Single pixels at thin tips are matters of sampling.
+            if area > 6 {
+                pieces[usize::from(inside)] += 1;
+            }
+        }
+        if pieces == [1, 1] { Ok(()) } else { Err(Rejection(Reason::NotADisk)) }
+    }
+}
