@@ -18,6 +18,7 @@ pub mod control;
 pub mod datagen;
 pub mod error;
 pub mod field;
+pub mod infer;
 pub mod mesh;
 pub mod numeric;
 pub mod sketch;
