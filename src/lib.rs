@@ -21,6 +21,7 @@ pub mod field;
 pub mod infer;
 pub mod mesh;
 pub mod numeric;
+pub mod picture;
 pub mod sketch;
 pub mod surface;
 

@@ -1,0 +1,16 @@
+//! Pictures of sketches, surfaces and panel meshes, drawn in software.
+
+mod canvas;
+mod lettering;
+mod mesh;
+mod scene;
+mod sketch;
+mod surface;
+mod svg;
+
+pub use canvas::{Frame, Picture, compose};
+pub use mesh::{MeshPart, mesh_picture, planarity_color};
+pub use scene::{Scene, ScenePatch, other_view, scene_picture};
+pub use sketch::sketch_picture;
+pub use surface::surface_picture;
+pub use svg::{mesh_svg, sketch_svg};
