@@ -1,9 +1,18 @@
 //! Conjugate direction fields on surfaces.
 
+mod conjugate;
 mod conjugate_field;
 mod matching;
+mod polyvector;
+mod smooth;
+mod system;
+#[cfg(test)]
+mod test_surfaces;
 mod topology;
 
+pub use conjugate::{SecondForm, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 pub use matching::{Cross, match_field, matching};
+pub use polyvector::PolyVector;
+pub use smooth::{DirectionConstraint, FieldOptions, conjugate_field, smoothness_energy};
 pub use topology::{EdgeTopology, NO_TRIANGLE, TriangleFrames};
