@@ -9,6 +9,7 @@ mod system;
 #[cfg(test)]
 mod test_surfaces;
 mod topology;
+mod trace;
 
 pub use conjugate::{SecondForm, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
@@ -16,3 +17,4 @@ pub use matching::{Cross, match_field, matching};
 pub use polyvector::PolyVector;
 pub use smooth::{DirectionConstraint, FieldOptions, conjugate_field, smoothness_energy};
 pub use topology::{EdgeTopology, NO_TRIANGLE, TriangleFrames};
+pub use trace::{Trace, TraceEnd, trace, trace_both_ways};

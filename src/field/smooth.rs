@@ -261,7 +261,7 @@ impl<'a> Problem<'a> {
         let forms = second_forms(mesh, frames);
         let mean_square: f64 = forms.iter().zip(&share).map(|(f, a)| f.norm().powi(2) * a).sum();
         let least = options.flatness * mean_square.sqrt().max(area.sqrt().recip());
-        let flat: Vec<bool> = forms.iter().map(|f| !(f.norm() > least)).collect();
+        let flat: Vec<bool> = forms.iter().map(|f| f.norm() <= least).collect();
         let mut problem = Self {
             mesh,
             edges,
@@ -304,7 +304,10 @@ impl<'a> Problem<'a> {
                 return Err(Error::NotFinite { what: "constraint", index: i });
             }
             let tangent = self.frames.components(t, &constraint.direction);
-            if !(constraint.weight > 0.0) || tangent.norm() <= 1e-9 * constraint.direction.norm() {
+            if constraint.weight.is_nan()
+                || constraint.weight <= 0.0
+                || tangent.norm() <= 1e-9 * constraint.direction.norm()
+            {
                 continue;
             }
             let angle = tangent.y.atan2(tangent.x);
@@ -448,8 +451,8 @@ impl<'a> Problem<'a> {
             factor.solve(&mut p);
             crosses = (0..count).map(|t| self.attach(t, 0.25 * p[2 * t + 1].atan2(p[2 * t]))).collect::<Vec<_>>();
             // The next pins sit where the field itself meets the conjugate crosses.
-            for t in 0..count {
-                pins[t].1 = fourfold(crosses[t].bisector);
+            for (pin, cross) in pins.iter_mut().zip(&crosses) {
+                pin.1 = fourfold(cross.bisector);
             }
         }
         Ok(crosses)
@@ -546,11 +549,10 @@ impl<'a> Problem<'a> {
             let tangents: Vec<_> = (0..count).map(|t| self.tangents(t, &crosses[t])).collect();
             self.assemble(&mut system, &crosses, &tangents);
             let gradient = system.vector.clone();
-            for t in 0..count {
+            for (t, cross) in crosses.iter().enumerate() {
                 for i in 0..system.unknowns(t) {
-                    let unknown = system.starts[t] + i;
-                    // The system solves for -gradient; what the floor stops does not take part.
-                    let stopped = self.stopped(t, i, &crosses[t], gradient[unknown]);
+                    // What the floor stops on the way down does not take part.
+                    let stopped = self.stopped(t, i, cross, gradient[system.starts[t] + i]);
                     system.add_diagonal(t, i, i, if stopped { 1e9 } else { damping });
                 }
             }

@@ -71,8 +71,7 @@ impl EdgeTopology {
             fan_starts: vec![0],
             on_border: vec![false; vertex_count],
         };
-        for h in 0..half_edges.len() {
-            let other = twin[h];
+        for (h, &other) in twin.iter().enumerate() {
             if (other as usize) < h {
                 continue;
             }
@@ -206,7 +205,7 @@ impl TriangleFrames {
             let sides = [0, 1, 2].map(|k| corners[(k + 1) % 3] - corners[k]);
             let (mut normal, area) = mesh.triangle_normal_area(t);
             let longest = sides.iter().map(|s| s.norm_squared()).fold(0.0, f64::max);
-            if !(area > 1e-12 * longest) {
+            if area <= 1e-12 * longest {
                 normal = mesh.triangles[t].iter().map(|&v| mesh.normals[v as usize]).sum::<Vector3<f64>>();
                 normal = normal.try_normalize(1e-300).unwrap_or_else(Vector3::z);
             }
