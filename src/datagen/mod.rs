@@ -12,8 +12,8 @@ mod grid;
 mod layers;
 mod preview;
 mod project;
+mod reading;
 mod shard;
-mod stand_in;
 mod strokes;
 mod surfaces;
 mod truth;
@@ -22,7 +22,7 @@ pub use shard::{Options, generate, parse_shares};
 pub use surfaces::Family;
 pub use truth::Maps;
 
-use crate::sketch::{CanonicalFrame, DepthSample, Layer, Sketch, Stroke, View};
+use crate::sketch::{CanonicalFrame, DepthSample, Layer, PatchSketch, Raster, Sketch, Stroke, View, rasterize};
 use crate::surface::NurbsSurface;
 use directions::Directions;
 use grid::{BasisTable, Grid};
@@ -70,13 +70,15 @@ pub enum Reason {
     Tiny,
     /// The visibility of the border does not close up.
     Inconsistent,
-    /// The sketch code reads the strokes differently, or not at all.
+    /// The sketch code cannot make one patch of the strokes.
+    Unread,
+    /// The sketch code reads other regions than the surface has.
     Misread,
 }
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Surface,
         Self::Slender,
         Self::Ambiguous,
@@ -88,6 +90,7 @@ impl Reason {
         Self::SelfIntersection,
         Self::Tiny,
         Self::Inconsistent,
+        Self::Unread,
         Self::Misread,
     ];
 
@@ -105,6 +108,7 @@ impl Reason {
             Self::SelfIntersection => "self_intersection",
             Self::Tiny => "tiny",
             Self::Inconsistent => "inconsistent",
+            Self::Unread => "unread",
             Self::Misread => "misread",
         }
     }
@@ -128,10 +132,10 @@ pub struct Sample {
     pub surface: NurbsSurface,
     /// The strokes on a canvas of 256 x 256 pixels, y down, with 0 to 6 depth samples.
     pub sketch: Sketch,
-    /// Where the canonical frame lies in the camera frame of the sketch.
-    pub frame: CanonicalFrame,
-    /// The 10 stroke channels, 10 x 64 x 64.
-    pub raster: Vec<f32>,
+    /// What the sketch code makes of the sketch.
+    pub patch: PatchSketch,
+    /// The stroke channels of the patch.
+    pub raster: Raster,
     /// Ground truth.
     pub maps: Maps,
     /// Rotation of the surface about the vertical, degrees.
@@ -316,10 +320,10 @@ fn attempt_sample(
     }
     let mut sketch =
         Sketch { name: format!("seed_{seed}"), canvas_size: [256.0; 2], view, strokes: lines, depth_samples: vec![] };
-    let reading = stand_in::read(&sketch, &layers).ok_or(Rejection(Reason::Misread))?;
+    let patch = reading::read(&sketch)?;
 
     // Into the frame that the sketch code found in the strokes.
-    let frame = reading.frame;
+    let frame = patch.frame;
     let cotangent = 1.0 / elevation_deg.to_radians().tan();
     let to_frame = |p: &Point3<f64>| {
         let [x, y] = strokes::to_canvas([p.x, p.y]);
@@ -328,6 +332,7 @@ fn attempt_sample(
     };
     let moved = surface.mapped(to_frame);
     let fine = Grid::new(moved.control_points(), &tables()[1]);
+    reading::check(&patch, &Layers::new(&fine, 256), noisy)?;
     let maps = Maps::new(&moved, &fine, &directions, cotangent);
     // depth - y cot e - reference = 0 on the mean: the reference moves into z.
     let surface = moved.mapped(|p| Point3::new(p.x, p.y, p.z + maps.reference));
@@ -338,8 +343,8 @@ fn attempt_sample(
         family,
         surface,
         sketch,
-        frame,
-        raster: reading.raster,
+        raster: rasterize(&patch),
+        patch,
         maps,
         azimuth_deg: azimuth.to_degrees(),
         elevation_deg,

@@ -204,7 +204,7 @@ fn write_shard(
         "|u1",
         &[10, MAP, MAP],
         gather(&|s, out| {
-            let (plain, directed) = s.raster.split_at(8 * MAP * MAP);
+            let (plain, directed) = s.raster.data.split_at(8 * MAP * MAP);
             out.extend(plain.iter().map(|x| (255.0 * x).round().clamp(0.0, 255.0) as u8));
             out.extend(directed.iter().map(|&x| (i16::from(signed(x)) + 128) as u8));
         }),
