@@ -9,6 +9,11 @@ mod knots;
 mod layer_map;
 mod nurbs;
 mod ray;
+mod refine;
+mod silhouette;
+#[cfg(test)]
+mod synthetic;
+mod tensor;
 mod tessellate;
 
 pub use border::{BorderCurves, LayerMaps};
@@ -20,4 +25,5 @@ pub use knots::{Basis, KnotVector, MAX_DEGREE};
 pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};
 pub use ray::{RayCaster, RayHit};
+pub use refine::{LayerSample, RefineOptions, RefineReport, Refined, SurfaceTargets, refine};
 pub use tessellate::SurfaceMesh;

@@ -1,0 +1,1184 @@
+//! Gauss-Newton refinement of a control net until its surface obeys the sketch.
+//!
+//! Everything is in the canonical frame: x right, y up, z towards the viewer, depth = -z.
+
+use super::border::LayerMaps;
+use super::corners::BorderLoop;
+use super::knots::{Basis, KnotVector};
+use super::layer_map::{LayerMap, MapSide};
+use super::nurbs::NurbsSurface;
+use super::silhouette::{self, Polyline};
+use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram};
+use crate::control::Control;
+use crate::error::Error;
+use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
+
+/// A known depth on one layer, canonical frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LayerSample {
+    /// Canvas-plane point (x, y).
+    pub position: [f64; 2],
+    /// Whether it belongs to the occluded layer.
+    pub occluded: bool,
+    /// Depth -z.
+    pub depth: f64,
+}
+
+/// What a surface has to obey.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurfaceTargets {
+    /// Border strokes as one loop, counter-clockwise seen from the front.
+    pub border: BorderLoop,
+    /// Indices of the patch's corners in the loop; sides as in [`super::coons_net`].
+    pub corners: [usize; 4],
+    /// Contour strokes, polylines (x, y).
+    pub contours: Vec<Vec<[f64; 2]>>,
+    /// Depth samples.
+    pub samples: Vec<LayerSample>,
+    /// Depth and normals of both layers.
+    pub maps: LayerMaps,
+}
+
+/// What the host can choose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefineOptions {
+    /// Smoothness against detail: 1 is balanced, 10 irons out small waves, 0.1 follows the depth maps closely.
+    pub fairness: f64,
+    /// How strongly the result stays at the start where nothing else is known: 1 is weak, 100 moves only what it must.
+    pub closeness: f64,
+    /// Gauss-Newton steps, at most.
+    pub iterations: usize,
+}
+
+impl Default for RefineOptions {
+    fn default() -> Self {
+        Self { fairness: 1.0, closeness: 1.0, iterations: 12 }
+    }
+}
+
+/// How well the refined surface obeys the sketch. Pixels are those of the 256 canvas.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RefineReport {
+    /// Gauss-Newton steps taken.
+    pub iterations: usize,
+    /// Energy of the start and of the result; the second is never larger.
+    pub energy: [f64; 2],
+    /// Distance from the border strokes to the surface's projected border: mean and largest, pixels.
+    pub border_px: [f64; 2],
+    /// Distance from the contour strokes to the surface's silhouette: mean and largest, pixels; zero without contours.
+    pub contour_px: [f64; 2],
+    /// Largest depth difference at a depth sample, canonical units.
+    pub sample_residual: f64,
+    /// Depth samples whose line of sight misses their layer.
+    pub samples_missed: usize,
+    /// Places where neighbouring normals (1/47 of the domain apart) point in opposite directions: folds and cusps.
+    pub folds: usize,
+    /// Share of the surface whose side facing the viewer is not drawn there, by the regions of the sketch.
+    pub misfacing: f64,
+    /// Root mean square tangent-plane distance to the depth maps, canonical units.
+    pub depth_rms: f64,
+}
+
+/// A refined surface and its diagnostics.
+#[derive(Clone, Debug)]
+pub struct Refined {
+    /// Same knots as the start.
+    pub surface: NurbsSurface,
+    /// How well it obeys.
+    pub report: RefineReport,
+}
+
+/// Samples in each direction: 1.75 a knot span for 30 control points, enough since fairness ties neighbours.
+const GRID: usize = 48;
+
+// Weights. All data terms are means over the patch or over a stroke, in canonical units squared, so that they do not
+// depend on the sampling; depth is the unit.
+
+/// Normals: sine of the angle to the map's normal, squared. A degree counts like 0.5 % of a unit of depth: normals tell the
+/// shape within a few pixels, depth over longer distances.
+const NORMAL_WEIGHT: f64 = 0.1;
+/// Border strokes, mean over each side: they are what the architect drew, the maps are guesses. With map errors near 0.05
+/// this leaves about a tenth of that at the border, a fifth of a pixel.
+const BORDER_WEIGHT: f64 = 20.0;
+/// Each corner.
+const CORNER_WEIGHT: f64 = 5.0;
+/// Contour strokes, mean over the silhouette.
+const CONTOUR_WEIGHT: f64 = 10.0;
+/// Each depth sample.
+const SAMPLE_WEIGHT: f64 = 5.0;
+/// Parts of the surface that project outside the regions of their orientation, squared distance.
+const OUTSIDE_WEIGHT: f64 = 0.3;
+/// Fairness: integrals of S_uuu^2 + S_vvv^2 over the unit square. The third derivative does not flatten domes as the
+/// second does. Waves beyond about five a side are damped: 1 / (2 pi 5)^6 = 1e-9.
+const FAIRNESS_WEIGHT: f64 = 3e-9;
+/// Evenness of the parametrization: integrals of the squared slopes of the displacement from the start, in x and y.
+const EVENNESS_WEIGHT: f64 = 1e-3;
+/// The same in z, only against drift where no map is valid.
+const EVENNESS_DEPTH_WEIGHT: f64 = 1e-5;
+/// Closeness to the start, mean squared displacement.
+const CLOSENESS_WEIGHT: f64 = 1e-4;
+/// Depth residuals beyond this count less and less (Cauchy): maps are wrong by whole layers at occlusions.
+const ROBUST_DEPTH: f64 = 0.5;
+/// Silhouette points farther than this from every contour stroke are left alone, canonical units.
+const CONTOUR_REACH: f64 = 1.0;
+/// Surface points whose unit normal has |z| below this may belong to a front or a back region.
+const UNDECIDED: f64 = 0.15;
+/// Share of a side by which a foot on its stroke may run ahead of, or lag behind, its arc length.
+const FOOT_WINDOW: f64 = 0.12;
+/// A silhouette row must not be steeper than this in depth.
+const SAMPLE_STEEPEST: f64 = 0.2;
+/// Conjugate gradient steps for one Gauss-Newton step, and the share of the preconditioned residual that remains.
+const CG_STEPS: usize = 30;
+const CG_TOLERANCE: f64 = 0.03;
+/// A relative decrease of the energy below this ends the iteration.
+const CONVERGED: f64 = 2e-3;
+/// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
+const CORRECTION_RANGE: f64 = 2.0;
+
+/// Moves the control net of `start` until the surface obeys `targets`.
+///
+/// Minimizes, by Gauss-Newton with footpoints and layers found anew at every step:
+/// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, distance of the
+/// border to its strokes and corners, distance of the silhouette to the contour strokes, depth samples on their lines of
+/// sight, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
+/// Steps are accepted only if the energy falls and no new fold appears, so the result is never worse than the start.
+///
+/// The silhouette needs no equation for n . view = 0: it is found on the current surface, and moving the surface along
+/// the projected normal m moves its silhouette by m . dS to first order, since the apparent contour is an envelope.
+///
+/// - `start`: cubic, not rational, canonical frame, S_u x S_v to the front, sides as [`super::coons_net`].
+///
+/// # Errors
+/// [`Error::Nurbs`] if `start` is rational or not cubic, [`Error::Degenerate`] if corners are out of order or the maps are
+/// empty, [`Error::Argument`] for bad options, [`Error::Cancelled`].
+///
+/// # Source
+/// Sketch2PQ, Sec. 3.2.3, fits depth maps alone, with second differences of the inner control rows as fairness.
+pub fn refine(
+    start: &NurbsSurface,
+    targets: &SurfaceTargets,
+    options: &RefineOptions,
+    control: &Control,
+) -> Result<Refined, Error> {
+    for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
+        if !(value.is_finite() && value >= 0.0) {
+            return Err(Error::Argument { name, value: value.to_string(), expected: "a finite number, at least 0" });
+        }
+    }
+    let refiner = Refiner::new(start, targets, options)?;
+    refiner.run(start, options.iterations, control)
+}
+
+impl LayerMaps {
+    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
+    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
+    ///
+    /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
+    pub fn meeting(&self, samples: &[LayerSample]) -> Self {
+        let correct = |map: &LayerMap, occluded: bool| {
+            let sides = [map.side(true), map.side(false)];
+            let known: Vec<([f64; 2], f64)> = samples
+                .iter()
+                .filter(|sample| sample.occluded == occluded)
+                .filter_map(|sample| {
+                    let near = sides.iter().filter_map(|side| {
+                        let value = side.sample(sample.position)?;
+                        Some((side.outside(sample.position)?.1, sample.depth - value.depth))
+                    });
+                    let best = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.abs().total_cmp(&b.1.abs())))?;
+                    Some((sample.position, best.1))
+                })
+                .collect();
+            let mut result = map.clone();
+            if known.is_empty() {
+                return result;
+            }
+            let kernel = |p: [f64; 2], q: [f64; 2]| {
+                let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
+                (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
+            };
+            let n = known.len();
+            let matrix =
+                DMatrix::from_fn(n, n, |i, j| kernel(known[i].0, known[j].0) + if i == j { 1e-4 } else { 0.0 });
+            let right = nalgebra::DVector::from_iterator(n, known.iter().map(|k| k.1));
+            if let Some(factor) = matrix.cholesky() {
+                let weights = factor.solve(&right);
+                for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
+                    let p = map.center(k);
+                    result.depth[k] += (0..n).map(|i| weights[i] * kernel(p, known[i].0)).sum::<f64>();
+                }
+            }
+            result
+        };
+        Self { visible: correct(&self.visible, false), occluded: correct(&self.occluded, true) }
+    }
+}
+
+/// What stays the same through the iterations.
+struct Refiner<'a> {
+    targets: &'a SurfaceTargets,
+    knots: [KnotVector; 2],
+    grid: TensorGrid,
+    /// Trapezoid weights of the grid in u and v, each summing to 1.
+    quadrature: [Vec<f64>; 2],
+    /// Visible front, visible back, occluded front, occluded back.
+    map_sides: [MapSide; 4],
+    strokes: [Polyline; 4],
+    stroke_occluded: [Vec<bool>; 4],
+    contours: Vec<Polyline>,
+    start: Vec<f64>,
+    mass: [Banded; 2],
+    fairness: [Banded; 2],
+    /// Evenness and closeness, for x and y, and for z.
+    evenness: [[Banded; 2]; 2],
+    preconditioner: [FastDiagonal; 2],
+}
+
+/// The energy at one net and its quadratic model: half the gradient, and what its Gauss-Newton Hessian is made of.
+struct Model {
+    energy: f64,
+    folds: usize,
+    depth_squared: f64,
+    gradient: Vec<f64>,
+    /// Upper triangles xx, xy, xz, yy, yz, zz of the weight matrices on dS at the grid samples.
+    weights: Vec<[f64; 6]>,
+    /// Map normal and weights on N . dS_u, N . dS_v.
+    tangents: Vec<(Vector3<f64>, f64, f64)>,
+    rows: Vec<Row>,
+}
+
+/// One residual at a scattered parameter: direction . S(u, v) moves it.
+struct Row {
+    bases: [Basis; 2],
+    direction: Vector3<f64>,
+    weight: f64,
+    residual: f64,
+}
+
+/// Distance to a region, and which; see [`Refiner::associate`].
+enum Association {
+    /// Tangent plane of a map: (normal of the plane, scaled residual, map normal).
+    Plane(Vector3<f64>, f64, Vector3<f64>),
+    /// Vector to the region that the point should project into.
+    Outside([f64; 2]),
+    /// Nothing known.
+    None,
+}
+
+impl<'a> Refiner<'a> {
+    fn new(start: &NurbsSurface, targets: &'a SurfaceTargets, options: &RefineOptions) -> Result<Self, Error> {
+        let knots = start.knots().clone();
+        if start.weights().is_some() || knots.iter().any(|k| k.degree() != 3) {
+            return Err(Error::Nurbs { reason: "refinement takes a cubic surface without weights".into() });
+        }
+        let border = &targets.border;
+        let sides: [Vec<usize>; 4] = [0, 1, 2, 3].map(|k| border.side(targets.corners, k));
+        if sides.iter().map(|side| side.len() - 1).sum::<usize>() != border.points.len() {
+            return Err(Error::Degenerate { reason: format!("border corners {:?} are out of order", targets.corners) });
+        }
+        let strokes = sides.each_ref().map(|side| Polyline::new(side.iter().map(|&i| border.points[i])));
+        if strokes.iter().any(|stroke| stroke.points.len() < 2) {
+            return Err(Error::Degenerate { reason: "a side of the border has no length".into() });
+        }
+        let maps = targets.maps.meeting(&targets.samples);
+        let map_sides =
+            [maps.visible.side(true), maps.visible.side(false), maps.occluded.side(true), maps.occluded.side(false)];
+        if map_sides.iter().all(MapSide::is_empty) {
+            return Err(Error::Degenerate { reason: "the depth maps are empty".into() });
+        }
+        let stroke_occluded = sides.each_ref().map(|side| side.iter().map(|&i| border.occluded[i]).collect());
+        let grid = TensorGrid { axes: [GridAxis::even(&knots[0], GRID), GridAxis::even(&knots[1], GRID)] };
+        let quadrature = [0, 1].map(|axis| {
+            let n = grid.axes[axis].len();
+            (0..n).map(|i| if i == 0 || i + 1 == n { 0.5 } else { 1.0 } / (n - 1) as f64).collect()
+        });
+
+        let [mass, slope, third] = [0, 1, 3].map(|order| [0, 1].map(|axis| gram(&knots[axis], order)));
+        // Parameters may run over any domain: scale the derivatives to the unit square.
+        let lengths = [0, 1].map(|axis: usize| {
+            let [a, b] = knots[axis].domain();
+            b - a
+        });
+        let mass = [0, 1].map(|axis: usize| &mass[axis] / lengths[axis]);
+        let slope = [0, 1].map(|axis: usize| &slope[axis] * lengths[axis]);
+        let third = [0, 1].map(|axis: usize| &third[axis] * lengths[axis].powi(5));
+        let fairness = [0, 1].map(|axis: usize| &third[axis] * (FAIRNESS_WEIGHT * options.fairness));
+        let closeness = CLOSENESS_WEIGHT * options.closeness;
+        let evenness = [EVENNESS_WEIGHT, EVENNESS_DEPTH_WEIGHT]
+            .map(|weight| [0, 1].map(|axis: usize| &slope[axis] * weight + &mass[axis] * (0.5 * closeness)));
+        // The preconditioner sees mean directions: in x and y borders act half, depth a fifth; in z depth acts mostly.
+        let preconditioner = [(0.2, 0.5 * BORDER_WEIGHT, 0.2), (0.6, 0.1, 0.6)].map(|(depth, border, normal)| {
+            let part = usize::from(border < 1.0);
+            let bordered = [0, 1].map(|axis: usize| {
+                let mut matrix = mass[axis].clone();
+                let last = matrix.nrows() - 1;
+                matrix[(0, 0)] += border / depth;
+                matrix[(last, last)] += border / depth;
+                matrix
+            });
+            let stiffness = [0, 1].map(|axis: usize| {
+                &fairness[axis] + &evenness[part][axis] + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
+            });
+            FastDiagonal::new([&stiffness[0], &stiffness[1]], [&bordered[0], &bordered[1]], depth)
+                .expect("mass matrices of B-splines are positive definite")
+        });
+        let banded = |matrices: &[DMatrix<f64>; 2]| matrices.each_ref().map(|matrix| Banded::new(matrix, 3));
+        Ok(Self {
+            targets,
+            mass: banded(&mass),
+            fairness: banded(&fairness),
+            evenness: evenness.each_ref().map(banded),
+            preconditioner,
+            knots,
+            grid,
+            quadrature,
+            map_sides,
+            strokes,
+            stroke_occluded,
+            contours: targets.contours.iter().map(|line| Polyline::new(line.iter().copied())).collect(),
+            start: planes_of(start),
+        })
+    }
+
+    fn run(&self, start: &NurbsSurface, iterations: usize, control: &Control) -> Result<Refined, Error> {
+        let mut net = self.start.clone();
+        let mut model = self.linearize(&net);
+        let first_energy = model.energy;
+        let mut taken = 0;
+        for round in 0..iterations {
+            control.step("refine", round as f64 / iterations as f64)?;
+            let step = self.solve(&model);
+            let mut scale = 1.0;
+            let accepted = loop {
+                let candidate: Vec<f64> = net.iter().zip(&step).map(|(x, d)| x + scale * d).collect();
+                let next = self.linearize(&candidate);
+                if next.energy < model.energy && next.folds <= model.folds {
+                    break Some((candidate, next));
+                }
+                scale *= 0.4;
+                if scale < 0.05 {
+                    break None;
+                }
+            };
+            let Some((candidate, next)) = accepted else { break };
+            let decrease = 1.0 - next.energy / model.energy;
+            (net, model) = (candidate, next);
+            taken += 1;
+            if decrease < CONVERGED {
+                break;
+            }
+        }
+        let surface = self.surface(&net);
+        debug_assert_eq!(surface.counts(), start.counts());
+        let report = self.report(&surface, &net, &model, first_energy, taken);
+        Ok(Refined { surface, report })
+    }
+
+    fn surface(&self, net: &[f64]) -> NurbsSurface {
+        let n = net.len() / 3;
+        let points = (0..n).map(|k| Point3::new(net[k], net[n + k], net[2 * n + k])).collect();
+        NurbsSurface::new(self.knots.clone(), points, None).expect("accepted nets have finite energy")
+    }
+
+    fn planes(&self, net: &[f64]) -> [GridPlanes; 3] {
+        let n = net.len() / 3;
+        [0, 1, 2].map(|c| {
+            let mut planes = GridPlanes::default();
+            self.grid.forward(&net[c * n..(c + 1) * n], &mut planes);
+            planes
+        })
+    }
+
+    /// Where the maps want a surface point: the tangent plane of the nearest layer that shows its side.
+    ///
+    /// - `facing`: z of the unit normal. `occluded`: the layer, where the sketch says it (border points).
+    fn associate(&self, p: Vector3<f64>, facing: f64, occluded: Option<bool>) -> Association {
+        let allowed = |side: usize| {
+            let front = side.is_multiple_of(2);
+            let layer = occluded.is_none_or(|occluded| occluded == (side >= 2));
+            layer && if front { facing > -UNDECIDED } else { facing < UNDECIDED }
+        };
+        let mut best: Option<(f64, Vector3<f64>, Vector3<f64>)> = None;
+        for side in (0..4).filter(|&side| allowed(side)) {
+            if let Some(sample) = self.map_sides[side].sample([p.x, p.y]) {
+                let [dx, dy] = sample.gradient;
+                let direction = Vector3::new(dx, dy, 1.0).normalize();
+                let residual = direction.z * (p.z + sample.depth);
+                if best.as_ref().is_none_or(|(shortest, ..)| residual.abs() < shortest.abs()) {
+                    best = Some((residual, direction, sample.normal));
+                }
+            }
+        }
+        if let Some((residual, direction, normal)) = best {
+            return Association::Plane(direction, residual, normal);
+        }
+        if occluded.is_some() {
+            return self.associate(p, facing, None);
+        }
+        let nearest = (0..4)
+            .filter(|&side| allowed(side))
+            .filter_map(|side| self.map_sides[side].outside([p.x, p.y]))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        match nearest {
+            Some((vector, _)) => Association::Outside(vector),
+            None => Association::None,
+        }
+    }
+
+    /// Energy and quadratic model at `net`.
+    fn linearize(&self, net: &[f64]) -> Model {
+        let n = net.len() / 3;
+        let planes = self.planes(net);
+        let [x, y, z] = &planes;
+        let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
+        let count = mu * mv;
+        let mut weights = vec![[0.0; 6]; count];
+        let mut tangents = vec![(Vector3::zeros(), 0.0, 0.0); count];
+        let mut slopes: [GridPlanes; 3] =
+            [0, 1, 2].map(|_| GridPlanes { value: vec![0.0; count], du: vec![0.0; count], dv: vec![0.0; count] });
+        let (mut energy, mut depth_squared) = (0.0, 0.0);
+        let mut normals = Vec::with_capacity(count);
+        let border_layers = self.border_layers(&planes);
+
+        for a in 0..mu {
+            for b in 0..mv {
+                let k = a * mv + b;
+                let area = self.quadrature[0][a] * self.quadrature[1][b];
+                let p = Vector3::new(x.value[k], y.value[k], z.value[k]);
+                let du = Vector3::new(x.du[k], y.du[k], z.du[k]);
+                let dv = Vector3::new(x.dv[k], y.dv[k], z.dv[k]);
+                let cross = du.cross(&dv);
+                let normal = cross / cross.norm().max(f64::MIN_POSITIVE);
+                normals.push(normal);
+                match self.associate(p, normal.z, border_layers[k]) {
+                    Association::Plane(direction, residual, target) => {
+                        let ratio = (residual / ROBUST_DEPTH).powi(2);
+                        energy += area * ROBUST_DEPTH * ROBUST_DEPTH * ratio.ln_1p();
+                        depth_squared += area * residual * residual;
+                        let weight = area / (1.0 + ratio);
+                        add_row(&mut weights[k], &mut slopes, k, direction, weight, residual);
+                        let weight = weight * NORMAL_WEIGHT;
+                        let (wu, wv) = (
+                            weight / du.norm_squared().max(f64::MIN_POSITIVE),
+                            weight / dv.norm_squared().max(f64::MIN_POSITIVE),
+                        );
+                        let (ru, rv) = (target.dot(&du), target.dot(&dv));
+                        energy += wu * ru * ru + wv * rv * rv;
+                        tangents[k] = (target, wu, wv);
+                        for (c, slope) in slopes.iter_mut().enumerate() {
+                            slope.du[k] += target[c] * wu * ru;
+                            slope.dv[k] += target[c] * wv * rv;
+                        }
+                    }
+                    Association::Outside([vx, vy]) => {
+                        let weight = area * OUTSIDE_WEIGHT;
+                        energy += weight * (vx * vx + vy * vy);
+                        add_row(&mut weights[k], &mut slopes, k, Vector3::x(), weight, -vx);
+                        add_row(&mut weights[k], &mut slopes, k, Vector3::y(), weight, -vy);
+                    }
+                    Association::None => {}
+                }
+            }
+        }
+        energy += self.border_term(&planes, &mut weights, &mut slopes);
+        let folds = self.count_folds(&normals);
+
+        let surface = self.surface_or_none(net);
+        let mut rows = vec![];
+        if let Some(surface) = &surface {
+            energy += self.contour_term(surface, &planes, &mut rows);
+            energy += self.sample_term(surface, &planes, &mut rows);
+        } else {
+            energy = f64::INFINITY;
+        }
+
+        let mut gradient = vec![0.0; 3 * n];
+        for (c, slope) in slopes.iter().enumerate() {
+            self.grid.add_adjoint(slope, &mut gradient[c * n..(c + 1) * n]);
+        }
+        for row in &rows {
+            self.add_row_adjoint(row, row.weight * row.residual, &mut gradient);
+        }
+        let mut product = vec![0.0; n];
+        let mut scratch = vec![0.0; n];
+        let mut difference = vec![0.0; n];
+        for c in 0..3 {
+            let part = &net[c * n..(c + 1) * n];
+            product.fill(0.0);
+            self.add_tensor(&self.fairness, part, &mut product, &mut scratch);
+            energy += dot(part, &product);
+            add(&mut gradient[c * n..(c + 1) * n], &product);
+            for (d, (now, before)) in difference.iter_mut().zip(part.iter().zip(&self.start[c * n..])) {
+                *d = now - before;
+            }
+            product.fill(0.0);
+            self.add_tensor(&self.evenness[c / 2], &difference, &mut product, &mut scratch);
+            energy += dot(&difference, &product);
+            add(&mut gradient[c * n..(c + 1) * n], &product);
+        }
+        if energy.is_nan() {
+            energy = f64::INFINITY;
+        }
+        Model { energy, folds, depth_squared, gradient, weights, tangents, rows }
+    }
+
+    fn surface_or_none(&self, net: &[f64]) -> Option<NurbsSurface> {
+        let n = net.len() / 3;
+        let points = (0..n).map(|k| Point3::new(net[k], net[n + k], net[2 * n + k])).collect();
+        NurbsSurface::new(self.knots.clone(), points, None).ok()
+    }
+
+    /// Adds (A_u x M_v + M_u x A_v) `plane` to `out`.
+    fn add_tensor(&self, matrices: &[Banded; 2], plane: &[f64], out: &mut [f64], scratch: &mut [f64]) {
+        let columns = self.knots[1].count();
+        self.mass[1].along_v(plane, scratch);
+        matrices[0].add_along_u(scratch, columns, out);
+        matrices[1].along_v(plane, scratch);
+        self.mass[0].add_along_u(scratch, columns, out);
+    }
+
+    /// Grid indices of side `side`, in the direction of the loop.
+    fn side_samples(&self, side: usize) -> Vec<usize> {
+        let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
+        match side {
+            0 => (0..mu).map(|a| a * mv).collect(),
+            1 => (0..mv).map(|b| (mu - 1) * mv + b).collect(),
+            2 => (0..mu).rev().map(|a| a * mv + mv - 1).collect(),
+            _ => (0..mv).rev().collect(),
+        }
+    }
+
+    /// For the samples of a side their shares of the side's projected arc length.
+    fn arc_shares(planes: &[GridPlanes; 3], samples: &[usize]) -> Vec<f64> {
+        let [x, y, _] = planes;
+        let mut shares = vec![0.0];
+        let mut sum = 0.0;
+        for pair in samples.windows(2) {
+            sum += (x.value[pair[1]] - x.value[pair[0]]).hypot(y.value[pair[1]] - y.value[pair[0]]);
+            shares.push(sum);
+        }
+        shares.iter().map(|s| s / sum.max(f64::MIN_POSITIVE)).collect()
+    }
+
+    /// For border samples the layer on which the sketch draws them.
+    fn border_layers(&self, planes: &[GridPlanes; 3]) -> Vec<Option<bool>> {
+        let mut layers = vec![None; planes[0].value.len()];
+        for side in 0..4 {
+            let samples = self.side_samples(side);
+            let shares = Self::arc_shares(planes, &samples);
+            let flags = &self.stroke_occluded[side];
+            let stroke = &self.strokes[side];
+            for (&k, share) in samples.iter().zip(shares) {
+                let at = stroke.lengths.partition_point(|&l| l < share * stroke.length()).min(flags.len() - 1);
+                layers[k] = Some(flags[at]);
+            }
+        }
+        layers
+    }
+
+    /// Border samples project onto the line of their stroke, corners onto the corners.
+    fn border_term(&self, planes: &[GridPlanes; 3], weights: &mut [[f64; 6]], slopes: &mut [GridPlanes; 3]) -> f64 {
+        let mut energy = 0.0;
+        for side in 0..4 {
+            let samples = self.side_samples(side);
+            let shares = Self::arc_shares(planes, &samples);
+            let stroke = &self.strokes[side];
+            let length = stroke.length();
+            for (i, (&k, share)) in samples.iter().zip(shares).enumerate() {
+                let p = [planes[0].value[k], planes[1].value[k]];
+                if i == 0 {
+                    let corner = stroke.points[0];
+                    for c in 0..2 {
+                        let residual = p[c] - corner[c];
+                        energy += CORNER_WEIGHT * residual * residual;
+                        add_row(&mut weights[k], slopes, k, axis(c), CORNER_WEIGHT, residual);
+                    }
+                    continue;
+                }
+                if i + 1 == samples.len() {
+                    continue;
+                }
+                let window = [(share - FOOT_WINDOW) * length, (share + FOOT_WINDOW) * length];
+                let Some(foot) = stroke.nearest(p, window) else { continue };
+                let weight = BORDER_WEIGHT / (samples.len() - 1) as f64;
+                let offset = [p[0] - foot.position[0], p[1] - foot.position[1]];
+                // Along the normal of the stroke the border slides freely; past its end it is drawn back.
+                let across = offset[0] * foot.normal[0] + offset[1] * foot.normal[1];
+                energy += weight * foot.distance * foot.distance;
+                let along = [offset[0] - across * foot.normal[0], offset[1] - across * foot.normal[1]];
+                let direction = Vector3::new(foot.normal[0], foot.normal[1], 0.0);
+                add_row(&mut weights[k], slopes, k, direction, weight, across);
+                let beyond = along[0].hypot(along[1]);
+                if beyond > 1e-9 {
+                    let direction = Vector3::new(along[0] / beyond, along[1] / beyond, 0.0);
+                    add_row(&mut weights[k], slopes, k, direction, weight, beyond);
+                }
+            }
+        }
+        energy
+    }
+
+    /// The silhouette's crossings with the grid lines project onto the contour strokes.
+    fn contour_term(&self, surface: &NurbsSurface, planes: &[GridPlanes; 3], rows: &mut Vec<Row>) -> f64 {
+        if self.contours.is_empty() {
+            return 0.0;
+        }
+        let points = silhouette::crossings(surface, &self.grid, &silhouette::facing(planes));
+        let weight = CONTOUR_WEIGHT / points.len().max(1) as f64;
+        let mut energy = 0.0;
+        for point in &points {
+            let foot = self
+                .contours
+                .iter()
+                .filter_map(|line| line.nearest(point.position, [0.0, f64::INFINITY]))
+                .min_by(|a, b| a.distance.total_cmp(&b.distance));
+            let Some(foot) = foot.filter(|foot| foot.distance < CONTOUR_REACH) else {
+                energy += weight * CONTOUR_REACH * CONTOUR_REACH;
+                continue;
+            };
+            let offset = [point.position[0] - foot.position[0], point.position[1] - foot.position[1]];
+            // Beyond an end of the stroke only the distance from its line counts.
+            let across = offset[0] * foot.normal[0] + offset[1] * foot.normal[1];
+            energy += weight * across * across;
+            let direction = Vector3::new(foot.normal[0], foot.normal[1], 0.0);
+            rows.push(Row { bases: point.bases, direction, weight, residual: across });
+        }
+        energy
+    }
+
+    /// The surface meets each depth sample on its line of sight.
+    fn sample_term(&self, surface: &NurbsSurface, planes: &[GridPlanes; 3], rows: &mut Vec<Row>) -> f64 {
+        let mut energy = 0.0;
+        for sample in &self.targets.samples {
+            let Some([u, v]) = self.sight(surface, planes, sample) else { continue };
+            let bases = [self.knots[0].basis(u), self.knots[1].basis(v)];
+            let point = surface.evaluate_with(&bases[0], &bases[1]);
+            let normal = point.du.cross(&point.dv);
+            let Some(normal) = normal.try_normalize(1e-12) else { continue };
+            // Depth on the line of sight changes by n . dS / n_z.
+            let direction = normal / normal.z.abs().max(SAMPLE_STEEPEST);
+            let residual = direction.z * (point.position.z + sample.depth);
+            energy += SAMPLE_WEIGHT * residual * residual;
+            rows.push(Row { bases, direction, weight: SAMPLE_WEIGHT, residual });
+        }
+        energy
+    }
+
+    /// Parameters where the line of sight of `sample` meets its layer: the first crossing, or the second.
+    fn sight(&self, surface: &NurbsSurface, planes: &[GridPlanes; 3], sample: &LayerSample) -> Option<[f64; 2]> {
+        let [x, y, z] = planes;
+        let [us, vs] = self.grid.axes.each_ref().map(|axis| &axis.parameters);
+        let (mu, mv) = (us.len(), vs.len());
+        let [px, py] = sample.position;
+        let mut hits: Vec<(f64, [f64; 2])> = vec![];
+        for a in 0..mu - 1 {
+            for b in 0..mv - 1 {
+                let k = a * mv + b;
+                let corners = [k, k + mv, k + mv + 1, k + 1];
+                let outside = |values: &[f64], at: f64| {
+                    corners.iter().all(|&q| values[q] < at) || corners.iter().all(|&q| values[q] > at)
+                };
+                if outside(&x.value, px) || outside(&y.value, py) {
+                    continue;
+                }
+                for triangle in [[0, 1, 2], [0, 2, 3]] {
+                    let [p, q, r] = triangle.map(|i| [x.value[corners[i]] - px, y.value[corners[i]] - py]);
+                    let w = [q[0] * r[1] - q[1] * r[0], r[0] * p[1] - r[1] * p[0], p[0] * q[1] - p[1] * q[0]];
+                    let total = w[0] + w[1] + w[2];
+                    if total == 0.0 || w.iter().any(|value| value / total < -1e-9) {
+                        continue;
+                    }
+                    let mix = |f: &dyn Fn(usize) -> f64| (0..3).map(|i| w[i] / total * f(triangle[i])).sum::<f64>();
+                    let depth = -mix(&|i| z.value[corners[i]]);
+                    let u = mix(&|i| us[a + usize::from(i == 1 || i == 2)]);
+                    let v = mix(&|i| vs[b + usize::from(i >= 2)]);
+                    hits.push((depth, [u, v]));
+                }
+            }
+        }
+        hits.sort_by(|a, b| a.0.total_cmp(&b.0));
+        hits.dedup_by(|b, a| (a.1[0] - b.1[0]).abs() + (a.1[1] - b.1[1]).abs() < 1e-6);
+        let [mut u, mut v] = hits.get(usize::from(sample.occluded))?.1;
+        // Newton on S(u, v) = (px, py) from the triangle's point.
+        for _ in 0..4 {
+            let point = surface.evaluate(u, v);
+            let (rx, ry) = (px - point.position.x, py - point.position.y);
+            let determinant = point.du.x * point.dv.y - point.dv.x * point.du.y;
+            if determinant.abs() < 1e-9 * point.du.norm() * point.dv.norm() {
+                break;
+            }
+            u += (rx * point.dv.y - ry * point.dv.x) / determinant;
+            v += (ry * point.du.x - rx * point.du.y) / determinant;
+            let [[a, b], [c, d]] = self.knots.each_ref().map(KnotVector::domain);
+            (u, v) = (u.clamp(a, b), v.clamp(c, d));
+        }
+        Some([u, v])
+    }
+
+    fn count_folds(&self, normals: &[Vector3<f64>]) -> usize {
+        let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
+        let mut folds = 0;
+        for a in 0..mu {
+            for b in 0..mv {
+                let k = a * mv + b;
+                let right = b + 1 < mv && normals[k].dot(&normals[k + 1]) <= 0.0;
+                let below = a + 1 < mu && normals[k].dot(&normals[k + mv]) <= 0.0;
+                folds += usize::from(right) + usize::from(below);
+            }
+        }
+        folds
+    }
+
+    fn row_value(&self, row: &Row, net: &[f64]) -> f64 {
+        let n = net.len() / 3;
+        let columns = self.knots[1].count();
+        let [bu, bv] = &row.bases;
+        let mut sum = 0.0;
+        for i in 0..4 {
+            for j in 0..4 {
+                let k = (bu.first + i) * columns + bv.first + j;
+                let weight = bu.values[0][i] * bv.values[0][j];
+                sum += weight
+                    * (row.direction.x * net[k] + row.direction.y * net[n + k] + row.direction.z * net[2 * n + k]);
+            }
+        }
+        sum
+    }
+
+    fn add_row_adjoint(&self, row: &Row, value: f64, out: &mut [f64]) {
+        let n = out.len() / 3;
+        let columns = self.knots[1].count();
+        let [bu, bv] = &row.bases;
+        for i in 0..4 {
+            for j in 0..4 {
+                let k = (bu.first + i) * columns + bv.first + j;
+                let weight = bu.values[0][i] * bv.values[0][j] * value;
+                out[k] += row.direction.x * weight;
+                out[n + k] += row.direction.y * weight;
+                out[2 * n + k] += row.direction.z * weight;
+            }
+        }
+    }
+
+    /// out = H x, H the Gauss-Newton Hessian (of half the energy).
+    fn apply(&self, model: &Model, x: &[f64], out: &mut [f64], work: &mut Work) {
+        let n = x.len() / 3;
+        out.fill(0.0);
+        for c in 0..3 {
+            self.grid.forward(&x[c * n..(c + 1) * n], &mut work.planes[c]);
+        }
+        let [px, py, pz] = &mut work.planes;
+        for (k, w) in model.weights.iter().enumerate() {
+            let (x, y, z) = (px.value[k], py.value[k], pz.value[k]);
+            px.value[k] = w[0] * x + w[1] * y + w[2] * z;
+            py.value[k] = w[1] * x + w[3] * y + w[4] * z;
+            pz.value[k] = w[2] * x + w[4] * y + w[5] * z;
+            let (normal, wu, wv) = &model.tangents[k];
+            let du = wu * (normal.x * px.du[k] + normal.y * py.du[k] + normal.z * pz.du[k]);
+            let dv = wv * (normal.x * px.dv[k] + normal.y * py.dv[k] + normal.z * pz.dv[k]);
+            (px.du[k], py.du[k], pz.du[k]) = (normal.x * du, normal.y * du, normal.z * du);
+            (px.dv[k], py.dv[k], pz.dv[k]) = (normal.x * dv, normal.y * dv, normal.z * dv);
+        }
+        for c in 0..3 {
+            self.grid.add_adjoint(&work.planes[c], &mut out[c * n..(c + 1) * n]);
+        }
+        for row in &model.rows {
+            self.add_row_adjoint(row, row.weight * self.row_value(row, x), out);
+        }
+        for c in 0..3 {
+            let (part, target) = (&x[c * n..(c + 1) * n], &mut out[c * n..(c + 1) * n]);
+            self.add_tensor(&self.fairness, part, target, &mut work.scratch);
+            self.add_tensor(&self.evenness[c / 2], part, target, &mut work.scratch);
+        }
+    }
+
+    /// The Gauss-Newton step: H step = -gradient, by preconditioned conjugate gradients, inexactly.
+    fn solve(&self, model: &Model) -> Vec<f64> {
+        let size = model.gradient.len();
+        let n = size / 3;
+        let mut work = Work { planes: Default::default(), scratch: vec![0.0; n] };
+        let mut step = vec![0.0; size];
+        let mut residual: Vec<f64> = model.gradient.iter().map(|g| -g).collect();
+        let precondition = |residual: &[f64], scratch: &mut [f64]| {
+            let mut z = residual.to_vec();
+            for c in 0..3 {
+                self.preconditioner[c / 2].solve(&mut z[c * n..(c + 1) * n], scratch);
+            }
+            z
+        };
+        let mut z = precondition(&residual, &mut work.scratch);
+        let mut direction = z.clone();
+        let mut product = vec![0.0; size];
+        let mut rho = dot(&residual, &z);
+        let target = rho * CG_TOLERANCE * CG_TOLERANCE;
+        for _ in 0..CG_STEPS {
+            if rho.is_nan() || rho <= target || rho == 0.0 {
+                break;
+            }
+            self.apply(model, &direction, &mut product, &mut work);
+            let alpha = rho / dot(&direction, &product);
+            for k in 0..size {
+                step[k] += alpha * direction[k];
+                residual[k] -= alpha * product[k];
+            }
+            z = precondition(&residual, &mut work.scratch);
+            let next = dot(&residual, &z);
+            let beta = next / rho;
+            for (d, z) in direction.iter_mut().zip(&z) {
+                *d = z + beta * *d;
+            }
+            rho = next;
+        }
+        step
+    }
+
+    fn report(
+        &self,
+        surface: &NurbsSurface,
+        net: &[f64],
+        model: &Model,
+        first_energy: f64,
+        iterations: usize,
+    ) -> RefineReport {
+        let pixel = 2.0 * self.targets.maps.visible.half_extent / 256.0;
+        let planes = self.planes(net);
+        let whole = [0.0, f64::INFINITY];
+        let summarize = |distances: &[f64]| {
+            let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
+            [mean / pixel, distances.iter().copied().fold(0.0, f64::max) / pixel]
+        };
+
+        let mut distances = vec![];
+        for side in 0..4 {
+            let curve = Polyline::new((0..=200).map(|i| {
+                let t = i as f64 / 200.0;
+                let [s, t] = [[t, 0.0], [1.0, t], [1.0 - t, 1.0], [0.0, 1.0 - t]][side];
+                let [u, v] = surface.at_fraction(s, t);
+                let p = surface.point(u, v);
+                [p.x, p.y]
+            }));
+            let points = self.strokes[side].points.iter();
+            distances.extend(points.filter_map(|&p| curve.nearest(p, whole)).map(|foot| foot.distance));
+        }
+        let border_px = summarize(&distances);
+
+        let facing = silhouette::facing(&planes);
+        let points = silhouette::crossings(surface, &self.grid, &facing);
+        let mut distances = vec![];
+        for line in &self.contours {
+            for p in &line.points {
+                // The silhouette as a set of short pieces: neighbouring crossings of one grid cell.
+                let nearest = self.silhouette_distance(*p, &points);
+                distances.push(nearest);
+            }
+        }
+        let contour_px = summarize(&distances);
+
+        let (mut sample_residual, mut samples_missed) = (0f64, 0);
+        for sample in &self.targets.samples {
+            match self.sight(surface, &planes, sample) {
+                Some([u, v]) => sample_residual = sample_residual.max((surface.point(u, v).z + sample.depth).abs()),
+                None => samples_missed += 1,
+            }
+        }
+
+        // One and a half map pixels: masks are decided by half a pixel, silhouettes lie on their rim.
+        let mut misfacing = 0.0;
+        let mv = self.grid.axes[1].len();
+        for (k, facing) in facing.iter().enumerate() {
+            let p = [planes[0].value[k], planes[1].value[k]];
+            let drawn = (0..4)
+                .filter(|&side: &usize| side.is_multiple_of(2) == (*facing > 0.0))
+                .filter_map(|side| self.map_sides[side].outside(p))
+                .any(|(_, pixels)| pixels <= 1.5);
+            if !drawn {
+                misfacing += self.quadrature[0][k / mv] * self.quadrature[1][k % mv];
+            }
+        }
+        RefineReport {
+            iterations,
+            energy: [first_energy, model.energy],
+            border_px,
+            contour_px,
+            sample_residual,
+            samples_missed,
+            folds: model.folds,
+            misfacing,
+            depth_rms: model.depth_squared.sqrt(),
+        }
+    }
+
+    /// Distance from `p` to the line through the two nearest silhouette points, or to the nearest one beyond them.
+    fn silhouette_distance(&self, p: [f64; 2], points: &[silhouette::SilhouettePoint]) -> f64 {
+        let mut nearest = [(f64::INFINITY, [0.0; 2]); 2];
+        for point in points {
+            let q = point.position;
+            let distance = (q[0] - p[0]).hypot(q[1] - p[1]);
+            if distance < nearest[0].0 {
+                nearest = [(distance, q), nearest[0]];
+            } else if distance < nearest[1].0 {
+                nearest[1] = (distance, q);
+            }
+        }
+        if nearest[0].0.is_infinite() {
+            // No silhouette at all: as far as the canvas is wide.
+            return 2.0 * self.targets.maps.visible.half_extent;
+        }
+        let segment = Polyline::new(nearest.iter().filter(|n| n.0.is_finite()).map(|n| n.1));
+        segment.nearest(p, [0.0, f64::INFINITY]).map_or(nearest[0].0, |foot| foot.distance)
+    }
+}
+
+struct Work {
+    planes: [GridPlanes; 3],
+    scratch: Vec<f64>,
+}
+
+fn axis(c: usize) -> Vector3<f64> {
+    Matrix3::identity().column(c).into_owned()
+}
+
+fn planes_of(surface: &NurbsSurface) -> Vec<f64> {
+    let points = surface.control_points();
+    (0..3).flat_map(|c| points.iter().map(move |p| p[c])).collect()
+}
+
+/// Adds weight (direction . dS + residual)^2 at grid sample `k`.
+fn add_row(
+    weights: &mut [f64; 6],
+    slopes: &mut [GridPlanes; 3],
+    k: usize,
+    direction: Vector3<f64>,
+    weight: f64,
+    residual: f64,
+) {
+    let d = direction;
+    for (slot, product) in weights.iter_mut().zip([d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z]) {
+        *slot += weight * product;
+    }
+    for (c, slope) in slopes.iter_mut().enumerate() {
+        slope.value[k] += weight * residual * d[c];
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+fn add(a: &mut [f64], b: &[f64]) {
+    for (x, y) in a.iter_mut().zip(b) {
+        *x += y;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::synthetic::{self, Scene};
+    use super::super::{BorderCurves, SurfaceProjector, coons_net};
+    use super::*;
+
+    fn targets(scene: &Scene) -> SurfaceTargets {
+        SurfaceTargets {
+            border: scene.border.clone(),
+            corners: scene.corners,
+            contours: scene.contours.clone(),
+            samples: vec![],
+            maps: scene.maps.clone(),
+        }
+    }
+
+    fn coons(targets: &SurfaceTargets) -> NurbsSurface {
+        let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
+        NurbsSurface::new(curves.knots.clone(), coons_net(&curves), None).unwrap()
+    }
+
+    /// Root mean square and largest distance from samples of `surface` to `truth`.
+    fn deviation(surface: &NurbsSurface, truth: &NurbsSurface) -> [f64; 2] {
+        let projector = SurfaceProjector::new(truth);
+        let (mut sum, mut largest, mut count) = (0.0, 0f64, 0);
+        for i in 0..=30 {
+            for j in 0..=30 {
+                let [u, v] = surface.at_fraction(i as f64 / 30.0, j as f64 / 30.0);
+                let distance = projector.closest(&surface.point(u, v)).distance;
+                sum += distance * distance;
+                largest = largest.max(distance);
+                count += 1;
+            }
+        }
+        [(sum / count as f64).sqrt(), largest]
+    }
+
+    fn start_of(scene: &Scene, size: f64) -> NurbsSurface {
+        // A network's answer: the truth with smooth errors.
+        let net = scene.truth.control_points().iter().map(|p| {
+            let error = [0.5 * (p.y * 1.1).sin(), 0.5 * (p.x * 0.9).cos(), (p.x + p.y).sin()];
+            p + Vector3::from(error) * size
+        });
+        NurbsSurface::uniform(3, [30, 30], net.collect()).unwrap()
+    }
+
+    fn run(start: &NurbsSurface, targets: &SurfaceTargets) -> Refined {
+        refine(start, targets, &RefineOptions::default(), &Control::default()).unwrap()
+    }
+
+    #[test]
+    fn open_surfaces_are_recovered_from_the_coons_patch() {
+        for truth in [synthetic::dome(), synthetic::saddle()] {
+            let scene = synthetic::scene(truth);
+            let targets = targets(&scene);
+            let start = coons(&targets);
+            let refined = run(&start, &targets);
+            let [rms, largest] = deviation(&refined.surface, &scene.truth);
+            assert!(rms < 0.002 && largest < 0.02, "{rms} {largest}");
+            assert!(rms < deviation(&start, &scene.truth)[0]);
+            let report = refined.report;
+            assert!(report.border_px[0] < 0.05 && report.border_px[1] < 0.3, "{report:?}");
+            assert!(report.folds == 0 && report.misfacing == 0.0 && report.energy[1] <= report.energy[0]);
+        }
+    }
+
+    #[test]
+    fn a_folded_vault_is_recovered_from_a_bent_start_and_from_the_coons_patch() {
+        let scene = synthetic::scene(synthetic::vault());
+        let targets = targets(&scene);
+        for start in [start_of(&scene, 0.3), coons(&targets)] {
+            assert!(deviation(&start, &scene.truth)[0] > 0.1);
+            let refined = run(&start, &targets);
+            let [rms, largest] = deviation(&refined.surface, &scene.truth);
+            assert!(rms < 0.02 && largest < 0.1, "{rms} {largest}");
+            let report = refined.report;
+            assert!(
+                report.border_px[0] < 0.1 && report.contour_px[0] < 0.2 && report.contour_px[1] < 2.5,
+                "{report:?}"
+            );
+            assert!(report.folds == 0 && report.misfacing < 0.005, "{report:?}");
+        }
+    }
+
+    #[test]
+    fn strokes_win_over_maps_that_disagree() {
+        let scene = synthetic::scene(synthetic::saddle());
+        let mut targets = targets(&scene);
+        for (k, depth) in targets.maps.visible.depth.iter_mut().enumerate() {
+            *depth += 0.15 * (k as f64 * 0.37).sin() + 0.1 * ((k / 64) as f64 * 0.2).cos();
+        }
+        let refined = run(&coons(&targets), &targets);
+        assert!(refined.report.border_px[0] < 0.1, "{:?}", refined.report);
+        assert!(deviation(&refined.surface, &scene.truth)[0] < 0.12);
+    }
+
+    #[test]
+    fn depth_samples_are_met_and_act_locally() {
+        let scene = synthetic::scene(synthetic::vault());
+        let mut targets = targets(&scene);
+        let plain = run(&start_of(&scene, 0.1), &targets).surface;
+        let mesh = crate::surface::SurfaceMesh::new(&scene.truth, [100, 100]).unwrap();
+        let caster = crate::surface::RayCaster::new(&mesh, [Vector3::x(), Vector3::y(), Vector3::z()]);
+        let visible = caster.hits(-2.0, -1.0)[0].depth;
+        let occluded = caster.hits(2.0, 2.1)[1].depth;
+        targets.samples = vec![
+            LayerSample { position: [-2.0, -1.0], occluded: false, depth: visible + 0.4 },
+            LayerSample { position: [2.0, 2.1], occluded: true, depth: occluded - 0.3 },
+        ];
+        let refined = run(&start_of(&scene, 0.1), &targets);
+        let range = 6.0;
+        assert!(refined.report.sample_residual < 0.01 * range, "{:?}", refined.report);
+        assert_eq!(refined.report.samples_missed, 0);
+        assert!(refined.report.border_px[0] < 0.3 && refined.report.folds == 0, "{:?}", refined.report);
+        // The corner of the near side, far from both.
+        let [u, v] = plain.at_fraction(0.97, 0.95);
+        assert!((plain.point(u, v) - refined.surface.point(u, v)).norm() < 0.05);
+    }
+
+    #[test]
+    fn a_shift_in_depth_shifts_the_result() {
+        let scene = synthetic::scene(synthetic::dome());
+        let mut targets = targets(&scene);
+        let start = start_of(&scene, 0.1);
+        let before = run(&start, &targets).surface;
+        for depth in &mut targets.maps.visible.depth {
+            *depth -= 3.0;
+        }
+        let shift = Vector3::new(0.0, 0.0, 3.0);
+        let after = run(&start.mapped(|p| p + shift), &targets).surface;
+        for (a, b) in before.control_points().iter().zip(after.control_points()) {
+            assert!((a + shift - b).norm() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_energy() {
+        // On a plane with exact linear maps the lagged directions and footpoints are exact too.
+        let scene = synthetic::scene(synthetic::surface(|s, t| {
+            let (x, y) = (7.0 * t - 3.5, 3.5 - 7.0 * s);
+            [x, y, 0.3 * x - 0.2 * y - 4.0]
+        }));
+        let targets = targets(&scene);
+        let start = start_of(&scene, 0.02);
+        let refiner = Refiner::new(&start, &targets, &RefineOptions::default()).unwrap();
+        let net = refiner.start.clone();
+        let model = refiner.linearize(&net);
+        let h = 1e-6;
+        for k in [0, 35, 435, 899, 900 + 14 * 30, 900 + 455, 1800, 1800 + 222, 1800 + 871] {
+            let moved = |by: f64| {
+                let mut net = net.clone();
+                net[k] += by;
+                refiner.linearize(&net).energy
+            };
+            let difference = (moved(h) - moved(-h)) / (4.0 * h);
+            let scale = 1e-4 + difference.abs();
+            assert!((difference - model.gradient[k]).abs() < 0.05 * scale, "{k}: {difference} {}", model.gradient[k]);
+        }
+    }
+
+    #[test]
+    fn the_silhouette_moves_by_the_projected_normal_displacement() {
+        let scene = synthetic::scene(synthetic::vault());
+        let surface = &scene.truth;
+        let knots = surface.knots();
+        let grid = TensorGrid { axes: [GridAxis::even(&knots[0], GRID), GridAxis::even(&knots[1], GRID)] };
+        let contour = |surface: &NurbsSurface| {
+            let net = planes_of(surface);
+            let planes = [0, 1, 2].map(|c| {
+                let mut planes = GridPlanes::default();
+                grid.forward(&net[c * 900..(c + 1) * 900], &mut planes);
+                planes
+            });
+            silhouette::crossings(surface, &grid, &silhouette::facing(&planes))
+        };
+        let before = contour(surface);
+        let point = before[before.len() / 2];
+        let (i, j) = (point.bases[0].first + 1, point.bases[1].first + 2);
+        let d = surface.evaluate_with(&point.bases[0], &point.bases[1]);
+        let normal = d.du.cross(&d.dv).normalize();
+        let h = 1e-4;
+        let mut net = surface.control_points().to_vec();
+        net[i * 30 + j] += normal * h;
+        let moved = NurbsSurface::uniform(3, [30, 30], net).unwrap();
+        let line = Polyline::new(
+            contour(&moved).iter().filter(|p| (p.position[0] - point.position[0]).abs() < 1.0).map(|p| p.position),
+        );
+        let expected = h * point.bases[0].values[0][1] * point.bases[1].values[0][2];
+        // The new silhouette lies beyond the old point by the displacement along the normal.
+        let mut sorted = line.points.clone();
+        sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let foot = Polyline::new(sorted).nearest(point.position, [0.0, f64::INFINITY]).unwrap();
+        let offset =
+            (foot.position[0] - point.position[0]) * normal.x + (foot.position[1] - point.position[1]) * normal.y;
+        assert!((offset - expected).abs() < 0.15 * expected, "{offset} {expected}");
+    }
+
+    #[test]
+    fn cancelling_and_bad_input_are_errors() {
+        let scene = synthetic::scene(synthetic::saddle());
+        let targets = targets(&scene);
+        let control = Control::default();
+        control.cancel();
+        let options = RefineOptions::default();
+        assert_eq!(refine(&scene.truth, &targets, &options, &control).unwrap_err(), Error::Cancelled);
+        let bad = RefineOptions { fairness: f64::NAN, ..options };
+        assert!(matches!(refine(&scene.truth, &targets, &bad, &Control::default()), Err(Error::Argument { .. })));
+        let flat = NurbsSurface::uniform(2, [30, 30], scene.truth.control_points().to_vec()).unwrap();
+        assert!(matches!(refine(&flat, &targets, &options, &Control::default()), Err(Error::Nurbs { .. })));
+    }
+}

@@ -1,0 +1,138 @@
+//! Silhouettes: where a surface turns away from the viewer, seen along -z.
+
+use super::knots::Basis;
+use super::nurbs::NurbsSurface;
+use super::tensor::{GridPlanes, TensorGrid};
+
+/// A point of the silhouette: S_u x S_v has no z component.
+#[derive(Clone, Copy, Debug)]
+pub struct SilhouettePoint {
+    /// Basis functions there, in u and v.
+    pub bases: [Basis; 2],
+    /// Projected position (x, y).
+    pub position: [f64; 2],
+}
+
+/// Newton and secant steps for one root; the grid brackets it well.
+const ROOT_STEPS: usize = 4;
+
+/// z component of S_u x S_v at each grid sample: positive where the front faces the viewer.
+pub fn facing(planes: &[GridPlanes; 3]) -> Vec<f64> {
+    let [x, y, _] = planes;
+    (0..x.value.len()).map(|k| x.du[k] * y.dv[k] - x.dv[k] * y.du[k]).collect()
+}
+
+/// The silhouette's crossings with the lines of a parameter grid, in the order of the grid.
+pub fn crossings(surface: &NurbsSurface, grid: &TensorGrid, facing: &[f64]) -> Vec<SilhouettePoint> {
+    let [au, av] = &grid.axes;
+    let (mu, mv) = (au.len(), av.len());
+    let mut result = vec![];
+    for a in 0..mu {
+        for b in 0..mv {
+            let k = a * mv + b;
+            if b + 1 < mv && facing[k] * facing[k + 1] < 0.0 {
+                let range = [av.parameters[b], av.parameters[b + 1]];
+                result.push(root(surface, 1, au.parameters[a], range, [facing[k], facing[k + 1]]));
+            }
+            if a + 1 < mu && facing[k] * facing[k + mv] < 0.0 {
+                let range = [au.parameters[a], au.parameters[a + 1]];
+                result.push(root(surface, 0, av.parameters[b], range, [facing[k], facing[k + mv]]));
+            }
+        }
+    }
+    result
+}
+
+/// Regula falsi (Illinois) along parameter `axis`, the other one fixed.
+fn root(surface: &NurbsSurface, axis: usize, fixed: f64, range: [f64; 2], values: [f64; 2]) -> SilhouettePoint {
+    let at = |t: f64| if axis == 0 { [t, fixed] } else { [fixed, t] };
+    let ([mut a, mut b], [mut fa, mut fb]) = (range, values);
+    let mut t = 0.5 * (a + b);
+    for _ in 0..ROOT_STEPS {
+        t = (a * fb - b * fa) / (fb - fa);
+        let [u, v] = at(t);
+        let p = surface.evaluate(u, v);
+        let f = p.du.x * p.dv.y - p.dv.x * p.du.y;
+        if f.abs() <= 1e-9 * (values[0].abs() + values[1].abs()) {
+            break;
+        }
+        if f * fb < 0.0 {
+            (a, fa) = (b, fb);
+        } else {
+            fa *= 0.5;
+        }
+        (b, fb) = (t, f);
+    }
+    let parameters = at(t);
+    let bases = [0, 1].map(|k| surface.knots()[k].basis(parameters[k]));
+    let p = surface.evaluate_with(&bases[0], &bases[1]).position;
+    SilhouettePoint { bases, position: [p.x, p.y] }
+}
+
+/// An open polyline in the canvas plane, and the nearest point on it.
+#[derive(Clone, Debug)]
+pub struct Polyline {
+    /// Vertices.
+    pub points: Vec<[f64; 2]>,
+    /// Arc length from the start to each vertex.
+    pub lengths: Vec<f64>,
+}
+
+/// The point of a polyline nearest to another point.
+#[derive(Clone, Copy, Debug)]
+pub struct PolylineFoot {
+    /// Its position.
+    pub position: [f64; 2],
+    /// Unit normal of the polyline there.
+    pub normal: [f64; 2],
+    /// Distance.
+    pub distance: f64,
+}
+
+impl Polyline {
+    /// Takes the vertices, without repeated ones.
+    pub fn new(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let mut kept: Vec<[f64; 2]> = vec![];
+        let mut lengths: Vec<f64> = vec![];
+        for p in points {
+            let step = kept.last().map_or(0.0, |q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]));
+            if kept.is_empty() || step > 0.0 {
+                lengths.push(lengths.last().copied().unwrap_or(0.0) + step);
+                kept.push(p);
+            }
+        }
+        Self { points: kept, lengths }
+    }
+
+    /// Whole length.
+    pub fn length(&self) -> f64 {
+        self.lengths.last().copied().unwrap_or(0.0)
+    }
+
+    /// The nearest point among those with arc length in `window`; `None` for fewer than two vertices.
+    pub fn nearest(&self, p: [f64; 2], window: [f64; 2]) -> Option<PolylineFoot> {
+        let segments = self.points.len().checked_sub(1).filter(|&s| s > 0)?;
+        let first = self.lengths.partition_point(|&l| l < window[0]).saturating_sub(1).min(segments - 1);
+        let last = self.lengths.partition_point(|&l| l <= window[1]).clamp(first + 1, segments);
+        let mut best = (f64::INFINITY, first, 0.0);
+        for i in first..last {
+            let (a, b) = (self.points[i], self.points[i + 1]);
+            let d = [b[0] - a[0], b[1] - a[1]];
+            let e = [p[0] - a[0], p[1] - a[1]];
+            let t = ((d[0] * e[0] + d[1] * e[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
+            let squared = (e[0] - t * d[0]).powi(2) + (e[1] - t * d[1]).powi(2);
+            if squared < best.0 {
+                best = (squared, i, t);
+            }
+        }
+        let (squared, i, t) = best;
+        if !squared.is_finite() {
+            return None;
+        }
+        let (a, b) = (self.points[i], self.points[i + 1]);
+        let d = [b[0] - a[0], b[1] - a[1]];
+        let length = d[0].hypot(d[1]);
+        let position = [a[0] + t * d[0], a[1] + t * d[1]];
+        Some(PolylineFoot { position, normal: [-d[1] / length, d[0] / length], distance: squared.sqrt() })
+    }
+}
