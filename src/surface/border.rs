@@ -287,7 +287,7 @@ fn fit_shape(
         knots.greville().iter().map(|&t| [0, 1].map(|k| ends[0][k] + (ends[1][k] - ends[0][k]) * t)).collect();
     let mut columns = vec![];
     let mut matrix = None;
-    for k in 0..2 {
+    for axis in [0, 1] {
         let mut system = LeastSquares::new(count - 2);
         let mut push = |first: usize, row: &[f64], value: f64| {
             let mut inner = vec![];
@@ -301,9 +301,9 @@ fn fit_shape(
         let scale = (1.0 / side.len() as f64).sqrt();
         for (&index, &t) in side.iter().zip(parameters) {
             let basis = knots.basis(t);
-            let straight: f64 = (0..4).map(|i| basis.values[0][i] * line[basis.first + i][k]).sum();
+            let straight: f64 = (0..4).map(|i| basis.values[0][i] * line[basis.first + i][axis]).sum();
             let row = [0, 1, 2, 3].map(|i| basis.values[0][i] * scale);
-            push(basis.first, &row, scale * (border.points[index][k] - straight));
+            push(basis.first, &row, scale * (border.points[index][axis] - straight));
         }
         smoothing_rows(knots, SHAPE_SMOOTHING, |first, row| push(first, row, 0.0));
         let (normal, right) = system.normal_equations();
@@ -361,10 +361,10 @@ mod tests {
         for p in &curves.points {
             assert!((p.z + saddle(p.x, p.y)).abs() < 0.01, "{p:?} {}", p.z + saddle(p.x, p.y));
         }
-        for k in 0..4 {
+        for (k, &corner) in corners.iter().enumerate() {
             let (a, b) = (&curves.sides[k], &curves.sides[(k + 1) % 4]);
             assert_eq!(a[29], b[0]);
-            assert_eq!([a[0].x, a[0].y], border.points[corners[k]]);
+            assert_eq!([a[0].x, a[0].y], border.points[corner]);
         }
     }
 
