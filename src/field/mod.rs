@@ -2,8 +2,10 @@
 
 mod conjugate;
 mod conjugate_field;
+mod integrate;
 mod matching;
 mod polyvector;
+mod seams;
 mod smooth;
 mod system;
 #[cfg(test)]
@@ -13,6 +15,9 @@ mod trace;
 
 pub use conjugate::{SecondForm, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
+pub use integrate::{
+    Density, Integrator, MAP_UNIT, MapDiagnostics, MapOptions, SeamlessMap, SideFit, Transition, integrate,
+};
 pub use matching::{Cross, match_field, matching};
 pub use polyvector::PolyVector;
 pub use smooth::{DirectionConstraint, FieldOptions, conjugate_field, smoothness_energy};
