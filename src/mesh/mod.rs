@@ -1,13 +1,23 @@
 //! Panel meshes: extraction from a map, borders, planarity, planarization.
 
+mod border;
+mod extract;
+mod isolines;
 mod obj;
 mod panel_mesh;
+mod planar_map;
 mod planarity;
 mod planarize;
 mod reference;
+mod topology;
 
+pub use border::{BorderMode, Repairs};
+pub use extract::{
+    EdgeFamily, ExtractOptions, ExtractedMesh, PanelTarget, VertexKind, VertexOrigin, extract, grid_triples, panels,
+};
 pub use obj::{read_obj, write_obj};
 pub use panel_mesh::PanelMesh;
 pub use planarity::{best_plane, deviation, edge_lengths, edges, mean_edge_length, planarity};
 pub use planarize::{PlanarizeInput, PlanarizeOptions, Planarized, border_vertices, grid_polylines, planarize};
 pub use reference::{Foot, MeshReference, Reference};
+pub use topology::{Topology, check};

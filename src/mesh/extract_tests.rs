@@ -1,0 +1,255 @@
+//! Fields of known layout, their maps and panels.
+
+use super::*;
+use crate::field::{Cross, EdgeTopology, FieldDiagnostics, TriangleFrames, integrate, match_field};
+use crate::surface::SurfaceMesh;
+use nalgebra::{Point3, Vector3};
+
+/// A field from directions given in 3D at triangle centres, projected to the triangles.
+fn field_of(mesh: SurfaceMesh, directions: impl Fn(usize, Point3<f64>) -> [Vector3<f64>; 2]) -> ConjugateField {
+    let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles).unwrap();
+    let frames = TriangleFrames::new(&mesh, &edges).unwrap();
+    let crosses: Vec<Cross> = (0..mesh.triangles.len())
+        .map(|t| {
+            let center = mesh.triangles[t].iter().map(|&v| mesh.position(v).coords).sum::<Vector3<f64>>() / 3.0;
+            let [u, v] = directions(t, Point3::from(center));
+            Cross::from_angles(frames.angle(t, &u), frames.angle(t, &v))
+        })
+        .collect();
+    let (matching, singularities) = match_field(&mesh, &edges, &frames, &crosses);
+    let directions =
+        (0..mesh.triangles.len()).map(|t| [crosses[t].u(), crosses[t].v()].map(|a| frames.direction(t, a))).collect();
+    ConjugateField { mesh, directions, edges, matching, singularities, diagnostics: FieldDiagnostics::default() }
+}
+
+fn square(size: f64) -> NurbsSurface {
+    let points = [(0.0, 0.0), (0.0, size), (size, 0.0), (size, size)].map(|(x, y)| Point3::new(x, y, 0.0));
+    NurbsSurface::uniform(1, [2, 2], points.to_vec()).unwrap()
+}
+
+fn turned_frame(angle: f64) -> [Vector3<f64>; 2] {
+    let (s, c) = angle.sin_cos();
+    [Vector3::new(c, s, 0.0), Vector3::new(-s, c, 0.0)]
+}
+
+/// A cross that turns by `index` quarters around each centre.
+fn singular_frame(p: Point3<f64>, singularities: &[(f64, f64, f64)], offset: f64) -> [Vector3<f64>; 2] {
+    let angle: f64 = singularities.iter().map(|&(x, y, index)| index / 4.0 * (p.y - y).atan2(p.x - x)).sum();
+    turned_frame(angle + offset)
+}
+
+/// A smooth wavy patch.
+fn wavy(seed: u64) -> NurbsSurface {
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut random = |scale: f64| scale * (rng.random::<f64>() - 0.5);
+    let n = 7;
+    let points = (0..n * n)
+        .map(|k| {
+            let (i, j) = ((k / n) as f64, (k % n) as f64);
+            Point3::new(i + random(0.5), j + random(0.5), random(1.4))
+        })
+        .collect();
+    NurbsSurface::uniform(3, [n, n], points).unwrap()
+}
+
+fn area(mesh: &PanelMesh) -> f64 {
+    mesh.faces()
+        .map(|face| {
+            let o = mesh.vertices[face[0] as usize];
+            let corner = |k: usize| mesh.vertices[face[k] as usize] - o;
+            (1..face.len() - 1).map(|k| corner(k).cross(&corner(k + 1))).sum::<Vector3<f64>>().norm() * 0.5
+        })
+        .sum()
+}
+
+/// Writes the mesh in the parameter plane, and seen from above, next to each other, if PICTURES names a folder.
+fn picture(name: &str, result: &ExtractedMesh, field: &ConjugateField) {
+    let Ok(folder) = std::env::var("PICTURES") else { return };
+    use tiny_skia::{Color, Paint, PathBuilder, Pixmap, Stroke, Transform};
+    const SIZE: f64 = 900.0;
+    let mut pixmap = Pixmap::new(2 * SIZE as u32, SIZE as u32).unwrap();
+    pixmap.fill(Color::WHITE);
+    let planes: [Vec<[f64; 2]>; 2] = [
+        result.origins.iter().map(|o| o.parameter).collect(),
+        result.mesh.vertices.iter().map(|p| [p.x + 0.35 * p.z, p.y + 0.5 * p.z]).collect(),
+    ];
+    for (side, points) in planes.iter().enumerate() {
+        let bounds = [0, 1].map(|i| {
+            let values = points.iter().map(|p| p[i]);
+            (values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max))
+        });
+        let extent = bounds.iter().map(|b| b.1 - b.0).fold(0.0, f64::max);
+        let scale = 0.94 * SIZE / extent;
+        let place = |p: [f64; 2]| {
+            let x = side as f64 * SIZE + 0.03 * SIZE + (p[0] - bounds[0].0) * scale;
+            (x as f32, (0.97 * SIZE - (p[1] - bounds[1].0) * scale) as f32)
+        };
+        let mut paint = Paint { anti_alias: true, ..Paint::default() };
+        for face in result.mesh.faces().filter(|f| f.len() != 4) {
+            let mut path = PathBuilder::new();
+            for (k, &v) in face.iter().enumerate() {
+                let (x, y) = place(points[v as usize]);
+                if k == 0 { path.move_to(x, y) } else { path.line_to(x, y) }
+            }
+            path.close();
+            match face.len() {
+                3 => paint.set_color_rgba8(250, 220, 160, 255),
+                5 => paint.set_color_rgba8(180, 215, 250, 255),
+                _ => paint.set_color_rgba8(250, 170, 170, 255),
+            }
+            pixmap.fill_path(
+                &path.finish().unwrap(),
+                &paint,
+                tiny_skia::FillRule::Winding,
+                Transform::identity(),
+                None,
+            );
+        }
+        for ([a, b], family) in result.edges.iter().zip(&result.families) {
+            let mut path = PathBuilder::new();
+            let (x, y) = place(points[*a as usize]);
+            path.move_to(x, y);
+            let (x, y) = place(points[*b as usize]);
+            path.line_to(x, y);
+            match family {
+                EdgeFamily::U => paint.set_color_rgba8(200, 40, 40, 255),
+                EdgeFamily::V => paint.set_color_rgba8(40, 70, 200, 255),
+                EdgeFamily::Border => paint.set_color_rgba8(0, 0, 0, 255),
+            }
+            let Some(path) = path.finish() else { continue };
+            pixmap.stroke_path(&path, &paint, &Stroke { width: 1.5, ..Stroke::default() }, Transform::identity(), None);
+        }
+        for &v in &result.irregular {
+            let (x, y) = place(points[v as usize]);
+            paint.set_color_rgba8(0, 150, 0, 255);
+            let dot = PathBuilder::from_circle(x, y, 6.0).unwrap();
+            pixmap.fill_path(&dot, &paint, tiny_skia::FillRule::Winding, Transform::identity(), None);
+        }
+        if side == 0 {
+            for s in &field.singularities {
+                let (x, y) = place(field.mesh.parameters[s.vertex as usize]);
+                paint.set_color_rgba8(230, 0, 230, 255);
+                let dot = PathBuilder::from_circle(x, y, 3.5).unwrap();
+                pixmap.fill_path(&dot, &paint, tiny_skia::FillRule::Winding, Transform::identity(), None);
+            }
+        }
+    }
+    pixmap.save_png(format!("{folder}/{name}.png")).unwrap();
+}
+
+fn run(name: &str, field: &ConjugateField, surface: &NurbsSurface, faces: usize) -> (SeamlessMap, ExtractedMesh) {
+    let control = Control::default();
+    let start = std::time::Instant::now();
+    let map_options = MapOptions { density: Density::CellCount(faces as f64), ..MapOptions::default() };
+    let map = integrate(field, &map_options, &control).unwrap();
+    let mapped = start.elapsed();
+    let result = extract(&map, surface, &ExtractOptions::default(), &control).unwrap();
+    let topology = topology::check(&result.mesh);
+    if std::env::var("PICTURES").is_ok() {
+        let mut sizes = std::collections::BTreeMap::new();
+        result.mesh.faces().for_each(|f| *sizes.entry(f.len()).or_insert(0) += 1);
+        println!(
+            "{name}: map {:.1} ms, extract {:.1} ms, {:?}, {} faces {sizes:?}, {:?}, irregular {}, euler {}",
+            mapped.as_secs_f64() * 1e3,
+            (start.elapsed() - mapped).as_secs_f64() * 1e3,
+            map.diagnostics,
+            result.mesh.face_count(),
+            result.repairs,
+            result.irregular.len(),
+            topology.euler_characteristic,
+        );
+    }
+    picture(name, &result, field);
+    assert!(topology.is_disk(), "{name}: {topology:?}");
+    (map, result)
+}
+
+#[test]
+fn an_aligned_constant_field_on_a_square_gives_unit_squares() {
+    let surface = square(8.0);
+    let field = field_of(SurfaceMesh::new(&surface, [13, 11]).unwrap(), |_, _| turned_frame(0.0));
+    let (map, result) = run("square0", &field, &surface, 64);
+    assert_eq!(map.fitted_sides, [true; 4]);
+    assert_eq!(result.mesh.face_count(), 64);
+    assert!(result.mesh.faces().all(|f| f.len() == 4));
+    for p in &result.mesh.vertices {
+        assert!((p - Point3::new(p.x.round(), p.y.round(), 0.0)).norm() < 1e-9, "{p}");
+    }
+    assert!(result.irregular.is_empty());
+    assert_eq!(result.repairs, Repairs::default());
+}
+
+#[test]
+fn a_turned_constant_field_is_trimmed_by_the_border() {
+    let surface = square(8.0);
+    for degrees in [30.0f64, 45.0, 3.0, 77.0] {
+        let field = field_of(SurfaceMesh::new(&surface, [20, 20]).unwrap(), |_, _| turned_frame(degrees.to_radians()));
+        let map_options =
+            MapOptions { density: Density::EdgeLength(0.5), sides: SideFit::Off, ..MapOptions::default() };
+        let map = integrate(&field, &map_options, &Control::default()).unwrap();
+        let result = extract(&map, &surface, &ExtractOptions::default(), &Control::default()).unwrap();
+        picture(&format!("square{degrees}"), &result, &field);
+        let topology = topology::check(&result.mesh);
+        assert!(topology.is_disk());
+        assert!((area(&result.mesh) - 64.0).abs() < 1e-9, "{}", area(&result.mesh));
+        assert!(result.covers && result.irregular.is_empty());
+        let mut inner = 0;
+        for face in result.mesh.faces() {
+            if face.iter().any(|&v| topology.on_border[v as usize]) {
+                continue;
+            }
+            inner += 1;
+            assert_eq!(face.len(), 4);
+            for k in 0..4 {
+                let [p, q, r] = [0, 1, 2].map(|i| result.mesh.vertices[face[(k + i) % 4] as usize]);
+                assert!(((q - p).norm() - 0.5).abs() < 1e-9 && (q - p).dot(&(r - q)).abs() < 1e-9);
+            }
+        }
+        assert!(inner > 100, "{inner}");
+    }
+}
+
+#[test]
+fn single_singularities_become_irregular_vertices() {
+    let surface = square(8.0);
+    for (name, index) in [("plus", 1.0), ("minus", -1.0)] {
+        let mesh = SurfaceMesh::new(&surface, [30, 30]).unwrap();
+        let field = field_of(mesh, |_, p| singular_frame(p, &[(3.7, 4.3, index)], 0.3));
+        assert_eq!(field.singularities.len(), 1);
+        let (map, result) = run(name, &field, &surface, 200);
+        assert_eq!(map.diagnostics.flipped, 0);
+        assert_eq!(result.irregular.len(), 1);
+        let v = result.irregular[0];
+        let degree = result.edges.iter().filter(|e| e.contains(&v)).count();
+        assert_eq!(degree as f64, 4.0 - index);
+        assert!((area(&result.mesh) - 64.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn pairs_of_singularities_are_seamless() {
+    let surface = square(8.0);
+    for (name, list) in [
+        ("pair", vec![(2.2, 4.1, 1.0), (5.9, 3.8, -1.0)]),
+        ("four", vec![(2.2, 2.1, 1.0), (5.9, 2.0, 1.0), (2.1, 6.0, 1.0), (6.1, 5.8, 1.0)]),
+        ("minuses", vec![(2.2, 2.1, -1.0), (5.9, 5.0, -1.0), (2.1, 6.0, 1.0)]),
+    ] {
+        let mesh = SurfaceMesh::new(&surface, [40, 40]).unwrap();
+        let field = field_of(mesh, |_, p| singular_frame(p, &list, 0.2));
+        let (_, result) = run(name, &field, &surface, 400);
+        assert_eq!(result.irregular.len(), list.len(), "{name}");
+        assert!((area(&result.mesh) - 64.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn curved_patches_are_covered() {
+    for seed in 0..6 {
+        let surface = wavy(seed);
+        let mesh = SurfaceMesh::new(&surface, [40, 40]).unwrap();
+        let angle = seed as f64 * 0.4;
+        let field = field_of(mesh, |_, p| turned_frame(angle + 0.3 * (0.5 * p.x).sin() + 0.2 * (0.7 * p.y).cos()));
+        run(&format!("wavy{seed}"), &field, &surface, 400);
+    }
+}
