@@ -30,7 +30,7 @@ impl CdfNet {
 
     /// See [`super::Networks::predict_directions`].
     pub fn predict(&mut self, maps: &SketchMaps, depths: &DepthPrediction) -> Result<DirectionPrediction, Error> {
-        let mut input = maps.strokes.to_vec();
+        let mut input = maps.raster.data.clone();
         for layer in [Some(&depths.visible), depths.occluded.as_ref()] {
             // Normals are 0 where the layer is not.
             for k in 0..3 {

@@ -5,27 +5,16 @@ use super::samples;
 use crate::error::Error;
 use crate::sketch::Layer;
 
-/// Smallest elevation whose horizontal reference is used, radians: towards the horizon a horizontal plane is seen edge-on.
-const SMALLEST_ELEVATION_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
-
 /// Least share of a pixel that a layer covers where it counts as seen; the pixel's centre decides in training data.
 const SEEN_COVERAGE: f32 = 0.5;
 
 /// Divisor of shorter normals, as in training: a vector that short tells no direction.
 const SHORTEST_NORMAL: f32 = 1e-3;
 
-/// Depth that a horizontal plane gains per canonical unit of y, cot(elevation).
-///
-/// Elevations below 15 degrees count as 15, so that the slope stays finite; seen from below it is negative.
-pub fn reference_slope(elevation_rad: f64) -> f64 {
-    let elevation = elevation_rad.abs().max(SMALLEST_ELEVATION_RAD);
-    elevation.tan().recip().copysign(elevation_rad)
-}
-
 /// Depth offset and normals of one layer, one value per map pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerPrediction {
-    /// h = depth - y cot(elevation) - reference, canonical units; 0 where the layer is not.
+    /// h = depth - y slope - reference, canonical units; 0 where the layer is not.
     pub depth_offset: Vec<f32>,
     /// Outward unit normal, which points to the viewer where the front is seen; camera frame; 0 where the layer is not.
     pub normals: Vec<[f32; 3]>,
@@ -110,8 +99,8 @@ pub struct DepthPrediction {
     pub occluded: Option<LayerPrediction>,
     /// Depth of the horizontal plane that offsets are counted from, at y = 0, canonical units.
     pub reference: f64,
-    /// Elevation of the view.
-    pub elevation_rad: f64,
+    /// Depth that this plane gains per canonical unit of y, see [`crate::sketch::horizontal_slope`].
+    pub slope: f64,
 }
 
 impl DepthPrediction {
@@ -125,7 +114,7 @@ impl DepthPrediction {
 
     /// Depth of the horizontal reference plane at canonical y; depth = h + this.
     pub fn plane_depth(&self, y: f64) -> f64 {
-        self.reference + y * reference_slope(self.elevation_rad)
+        self.reference + y * self.slope
     }
 
     /// Canonical depth of a layer at each map pixel, growing away from the viewer; that of the reference plane where the layer
@@ -145,6 +134,7 @@ impl DepthPrediction {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sketch::horizontal_slope;
 
     #[test]
     fn a_horizontal_plane_has_offset_zero() {
@@ -159,7 +149,7 @@ mod tests {
             },
             occluded: None,
             reference: 0.0,
-            elevation_rad: view.elevation_rad(),
+            slope: horizontal_slope(&view),
         };
         for (pixel, depth) in prediction.depths(Layer::Visible).unwrap().into_iter().enumerate() {
             let [x, y] = pixel_center(pixel);
@@ -171,13 +161,5 @@ mod tests {
         let up = view.camera_to_world(&nalgebra::Point3::from(normal));
         assert!((up.z - 1.0).abs() < 1e-6);
         assert!(prediction.depths(Layer::Occluded).is_none());
-    }
-
-    #[test]
-    fn the_slope_is_finite_at_every_elevation() {
-        assert!((reference_slope(1.0) - 1.0 / 1f64.tan()).abs() < 1e-15);
-        assert!(reference_slope(0.0) > 3.0 && reference_slope(0.0) < 4.0);
-        assert!((reference_slope(-0.5) + reference_slope(0.5)).abs() < 1e-15);
-        assert!(reference_slope(std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     }
 }

@@ -3,63 +3,71 @@
 use super::backend::{Backend, BackendChoice, BackendInfo, BackendOptions};
 use super::bsr_net::BsrNet;
 use super::cdf_net::{CdfNet, DirectionPrediction};
-use super::layers::{DepthPrediction, reference_slope};
-use super::maps::{COVERAGE_CHANNEL, MAP_PIXELS, STROKE_CHANNELS, channel};
+use super::layers::DepthPrediction;
+use super::maps::{COVERAGE_CHANNEL, MAP_PIXELS};
 use super::models::Models;
 use super::od_net::OdNet;
 use super::vd_net::VdNet;
 use crate::control::Control;
 use crate::error::Error;
+use crate::sketch::{CanonicalSample, Layer, PatchSketch, Raster, STROKE_CHANNELS, horizontal_slope};
 
 /// What the networks read of a sketch, canonical frame.
 #[derive(Clone, Copy, Debug)]
 pub struct SketchMaps<'a> {
-    /// 10 x 64 x 64: proximity to visible boundary, occluded boundary, contour and feature strokes; coverage of visible-front,
-    /// visible-back, occluded-front and occluded-back regions; feature direction.
-    pub strokes: &'a [f32],
-    /// Known depths on the visible layer: x, y, depth.
-    pub visible_samples: &'a [[f64; 3]],
-    /// Known depths on the occluded layer: x, y, depth.
-    pub occluded_samples: &'a [[f64; 3]],
-    /// Elevation of the view above the horizon.
-    pub elevation_rad: f64,
+    /// Strokes and regions.
+    pub raster: &'a Raster,
+    /// Known depths on either layer.
+    pub samples: &'a [CanonicalSample],
+    /// Depth that a horizontal plane gains per unit of y, see [`horizontal_slope`].
+    pub slope: f64,
 }
 
-impl SketchMaps<'_> {
+impl<'a> SketchMaps<'a> {
+    /// The maps of `patch`, which `raster` was drawn from.
+    pub fn new(patch: &'a PatchSketch, raster: &'a Raster) -> Self {
+        Self { raster, samples: &patch.depth_samples, slope: horizontal_slope(&patch.view) }
+    }
+
     /// # Errors
     /// [`Error::Argument`] for maps of another size, [`Error::NotFinite`] for a number that is none.
     fn check(&self) -> Result<(), Error> {
-        if self.strokes.len() != STROKE_CHANNELS * MAP_PIXELS {
-            let value = self.strokes.len().to_string();
-            return Err(Error::Argument { name: "length of the stroke maps", value, expected: "10 x 64 x 64 values" });
+        let data = &self.raster.data;
+        if data.len() != STROKE_CHANNELS * MAP_PIXELS {
+            let value = data.len().to_string();
+            return Err(Error::Argument { name: "length of the raster", value, expected: "10 x 64 x 64 values" });
         }
-        if let Some(index) = self.strokes.iter().position(|value| !value.is_finite()) {
-            return Err(Error::NotFinite { what: "stroke map value", index });
+        if let Some(index) = data.iter().position(|value| !value.is_finite()) {
+            return Err(Error::NotFinite { what: "raster value", index });
         }
-        for samples in [self.visible_samples, self.occluded_samples] {
-            if let Some(index) = samples.iter().position(|sample| sample.iter().any(|value| !value.is_finite())) {
-                return Err(Error::NotFinite { what: "depth sample", index });
-            }
+        let finite =
+            |sample: &CanonicalSample| sample.position.iter().all(|x| x.is_finite()) && sample.depth.is_finite();
+        if let Some(index) = self.samples.iter().position(|sample| !finite(sample)) {
+            return Err(Error::NotFinite { what: "depth sample", index });
         }
-        if !self.elevation_rad.is_finite() {
-            return Err(Error::NotFinite { what: "elevation", index: 0 });
+        if !self.slope.is_finite() {
+            return Err(Error::NotFinite { what: "slope", index: 0 });
         }
         Ok(())
     }
 
-    /// Coverage of visible-front, visible-back, occluded-front, occluded-back regions.
-    pub(super) fn coverage(&self, region: usize) -> &[f32] {
-        channel(self.strokes, COVERAGE_CHANNEL + region)
+    /// Coverage by visible-front, visible-back, occluded-front, occluded-back regions.
+    pub(super) fn coverage(&self, region: usize) -> &'a [f32] {
+        self.raster.channel(COVERAGE_CHANNEL + region)
     }
 
     fn has_occluded_layer(&self) -> bool {
-        (2..4).any(|region| self.coverage(region).iter().any(|&coverage| coverage > 0.0))
+        (0..MAP_PIXELS).any(|pixel| self.raster.occluded_coverage(pixel) > 0.0)
     }
 
-    /// Samples as offsets from the horizontal plane whose depth is `reference` at y = 0.
-    fn offsets(&self, samples: &[[f64; 3]], reference: f64) -> Vec<[f64; 3]> {
-        let slope = reference_slope(self.elevation_rad);
-        samples.iter().map(|&[x, y, depth]| [x, y, depth - y * slope - reference]).collect()
+    /// The samples of a layer as x, y and offset from the horizontal plane whose depth is `reference` at y = 0.
+    fn offsets(&self, layer: Layer, reference: f64) -> Vec<[f64; 3]> {
+        let samples = self.samples.iter().filter(|sample| sample.layer == layer);
+        let offset = |sample: &CanonicalSample| {
+            let [x, y] = sample.position;
+            [x, y, sample.depth - y * self.slope - reference]
+        };
+        samples.map(offset).collect()
     }
 }
 
@@ -117,29 +125,28 @@ impl Networks {
     pub fn predict_depths(&mut self, maps: &SketchMaps, control: &Control) -> Result<DepthPrediction, Error> {
         maps.check()?;
         control.check()?;
-        let mean = |offsets: &[[f64; 3]]| offsets.iter().map(|s| s[2]).sum::<f64>() / offsets.len() as f64;
-        let mut reference = match maps.visible_samples {
-            [] => 0.0,
-            samples => mean(&maps.offsets(samples, 0.0)),
-        };
-        let visible = self.vd.predict(maps, &maps.offsets(maps.visible_samples, reference))?;
+        let level = |offsets: &[[f64; 3]]| offsets.iter().map(|s| s[2]).sum::<f64>() / offsets.len().max(1) as f64;
+        let mut reference = level(&maps.offsets(Layer::Visible, 0.0));
+        let samples = maps.offsets(Layer::Visible, reference);
+        let visible = self.vd.predict(maps, &samples)?;
         control.check()?;
         let mut occluded = None;
         if maps.has_occluded_layer() {
-            if maps.visible_samples.is_empty() && !maps.occluded_samples.is_empty() {
+            let mut hidden = maps.offsets(Layer::Occluded, reference);
+            if samples.is_empty() && !hidden.is_empty() {
                 // Nothing ties the visible layer to the samples yet: let the unconstrained prediction do so.
                 let free = self.od.predict(maps, &visible, &[])?;
-                let mut offsets = maps.offsets(maps.occluded_samples, 0.0);
-                for offset in &mut offsets {
-                    offset[2] -= free.at(offset[0], offset[1]).map_or(0.0, |(h, _)| h);
-                }
-                reference = mean(&offsets);
                 control.check()?;
+                for [x, y, h] in &mut hidden {
+                    *h -= free.at(*x, *y).map_or(0.0, |(h, _)| h);
+                }
+                reference = level(&hidden);
+                hidden = maps.offsets(Layer::Occluded, reference);
             }
-            occluded = Some(self.od.predict(maps, &visible, &maps.offsets(maps.occluded_samples, reference))?);
+            occluded = Some(self.od.predict(maps, &visible, &hidden)?);
             control.check()?;
         }
-        Ok(DepthPrediction { visible, occluded, reference, elevation_rad: maps.elevation_rad })
+        Ok(DepthPrediction { visible, occluded, reference, slope: maps.slope })
     }
 
     /// Predicts what to add to the Coons net of the border curves (BSR-Net).
@@ -180,9 +187,9 @@ impl Networks {
 
 #[cfg(test)]
 mod tests {
+    use super::super::NET_POINTS;
     use super::super::maps::pixel_center;
     use super::*;
-    use crate::sketch::Layer;
 
     fn networks() -> Networks {
         let options = BackendOptions { choice: BackendChoice::Embedded, threads: 1, ..Default::default() };
@@ -190,68 +197,75 @@ mod tests {
     }
 
     /// A disk of radius 3 in front; with `occluded`, another behind its right half.
-    fn strokes(occluded: bool) -> Vec<f32> {
-        let mut strokes = vec![0.0; STROKE_CHANNELS * MAP_PIXELS];
+    fn disk(occluded: bool) -> Raster {
+        let mut data = vec![0.0; STROKE_CHANNELS * MAP_PIXELS];
         for pixel in 0..MAP_PIXELS {
             let [x, y] = pixel_center(pixel);
             let distance = (x.hypot(y) - 3.0).abs() * 29.0;
-            strokes[pixel] = (8.0 / (8.0 + distance)) as f32;
+            data[pixel] = (8.0 / (8.0 + distance)) as f32;
             let inside = f32::from(u8::from(x.hypot(y) < 3.0));
-            strokes[COVERAGE_CHANNEL * MAP_PIXELS + pixel] = inside;
+            data[COVERAGE_CHANNEL * MAP_PIXELS + pixel] = inside;
             if occluded && x > 0.0 {
-                strokes[(COVERAGE_CHANNEL + 3) * MAP_PIXELS + pixel] = inside;
+                data[(COVERAGE_CHANNEL + 3) * MAP_PIXELS + pixel] = inside;
             }
         }
-        strokes
+        Raster { data }
     }
 
-    fn maps<'a>(strokes: &'a [f32], visible: &'a [[f64; 3]], occluded: &'a [[f64; 3]]) -> SketchMaps<'a> {
-        let elevation_rad = std::f64::consts::FRAC_PI_4;
-        SketchMaps { strokes, visible_samples: visible, occluded_samples: occluded, elevation_rad }
+    fn at(layer: Layer, x: f64, y: f64, depth: f64) -> CanonicalSample {
+        CanonicalSample { position: [x, y], layer, depth }
+    }
+
+    fn maps<'a>(raster: &'a Raster, samples: &'a [CanonicalSample]) -> SketchMaps<'a> {
+        SketchMaps { raster, samples, slope: 1.0 }
     }
 
     #[test]
     fn depth_samples_are_met() {
-        let strokes = strokes(true);
-        let (visible, occluded) = ([[0.5, 0.25, 9.0], [-1.5, 1.0, 10.5], [2.0, -2.0, 7.0]], [[1.0, 0.5, 11.0]]);
-        for (visible, occluded) in [(&visible[..], &occluded[..]), (&visible[..1], &[]), (&[], &occluded[..])] {
-            let prediction =
-                networks().predict_depths(&maps(&strokes, visible, occluded), &Control::default()).unwrap();
-            for (layer, samples) in [(Layer::Visible, visible), (Layer::Occluded, occluded)] {
-                for &[x, y, depth] in samples {
-                    let (found, _) = prediction.depth_at(layer, x, y).unwrap();
-                    assert!((found - depth).abs() < 1e-3, "{layer:?} {found} {depth}");
-                }
+        let raster = disk(true);
+        let all = [
+            at(Layer::Visible, 0.5, 0.25, 9.0),
+            at(Layer::Visible, -1.5, 1.0, 10.5),
+            at(Layer::Occluded, 1.0, 0.5, 11.0),
+            at(Layer::Occluded, 2.0, -1.5, 9.0),
+        ];
+        for samples in [&all[..], &all[..1], &all[1..3], &all[2..], &all[3..]] {
+            let prediction = networks().predict_depths(&maps(&raster, samples), &Control::default()).unwrap();
+            for sample in samples {
+                let [x, y] = sample.position;
+                let (found, _) = prediction.depth_at(sample.layer, x, y).unwrap();
+                assert!((found - sample.depth).abs() < 1e-3, "{sample:?} {found}");
             }
         }
     }
 
     #[test]
     fn moving_the_samples_in_depth_moves_the_prediction() {
-        let strokes = strokes(false);
-        let samples = [[0.5, 0.25, 9.0], [-1.5, 1.0, 10.5]];
-        let moved = samples.map(|[x, y, depth]| [x, y, depth + 3.5]);
+        let raster = disk(true);
+        let both = [at(Layer::Visible, 0.5, 0.25, 9.0), at(Layer::Occluded, 1.5, 1.0, 12.5)];
         let mut networks = networks();
-        let mut depths = |samples: &[[f64; 3]]| {
-            let prediction = networks.predict_depths(&maps(&strokes, samples, &[]), &Control::default()).unwrap();
-            prediction.depths(Layer::Visible).unwrap()
+        let mut depths = |samples: &[CanonicalSample]| {
+            let prediction = networks.predict_depths(&maps(&raster, samples), &Control::default()).unwrap();
+            Layer::ALL.map(|layer| prediction.depths(layer).unwrap()).concat()
         };
-        for (a, b) in depths(&samples).into_iter().zip(depths(&moved)) {
-            assert!((a + 3.5 - b).abs() < 1e-5);
+        for samples in [&both[..], &both[..1], &both[1..]] {
+            let moved: Vec<_> = samples.iter().map(|s| CanonicalSample { depth: s.depth + 3.5, ..*s }).collect();
+            for (a, b) in depths(samples).into_iter().zip(depths(&moved)) {
+                assert!((a + 3.5 - b).abs() < 1e-5);
+            }
         }
     }
 
     #[test]
     fn the_occluded_layer_is_where_the_sketch_has_one() {
-        let mut networks = networks();
-        let without = strokes(false);
-        let prediction = networks.predict_depths(&maps(&without, &[], &[]), &Control::default()).unwrap();
+        let (mut networks, control) = (networks(), Control::default());
+        let without = disk(false);
+        let prediction = networks.predict_depths(&maps(&without, &[]), &control).unwrap();
         assert!(prediction.occluded.is_none());
-        let directions =
-            networks.predict_directions(&maps(&without, &[], &[]), &prediction, &Control::default()).unwrap();
+        let directions = networks.predict_directions(&maps(&without, &[]), &prediction, &control).unwrap();
         assert!(directions.occluded.is_none() && directions.visible.iter().flatten().all(|c| c.is_finite()));
-        let with = strokes(true);
-        let prediction = networks.predict_depths(&maps(&with, &[], &[]), &Control::default()).unwrap();
+        let with = disk(true);
+        let prediction = networks.predict_depths(&maps(&with, &[]), &control).unwrap();
         let occluded = prediction.occluded.unwrap();
         for pixel in 0..MAP_PIXELS {
             let [x, y] = pixel_center(pixel);
@@ -264,30 +278,29 @@ mod tests {
 
     #[test]
     fn a_cancel_stops_between_networks() {
-        let (strokes, control) = (strokes(false), Control::default());
+        let (raster, control) = (disk(false), Control::default());
         control.cancel();
-        assert_eq!(networks().predict_depths(&maps(&strokes, &[], &[]), &control), Err(Error::Cancelled));
+        assert_eq!(networks().predict_depths(&maps(&raster, &[]), &control), Err(Error::Cancelled));
     }
 
     #[test]
     fn bad_input_is_an_error() {
-        let mut networks = networks();
-        let control = Control::default();
-        let good = strokes(false);
+        let (mut networks, control) = (networks(), Control::default());
+        let good = disk(false);
         let mut bad = good.clone();
-        bad[17] = f32::NAN;
-        assert!(matches!(networks.predict_depths(&maps(&bad, &[], &[]), &control), Err(Error::NotFinite { .. })));
-        let short = maps(&good[1..], &[], &[]);
-        assert!(matches!(networks.predict_depths(&short, &control), Err(Error::Argument { .. })));
-        let sample = [[0.0, f64::INFINITY, 1.0]];
-        assert!(matches!(
-            networks.predict_depths(&maps(&good, &sample, &[]), &control),
+        bad.data[17] = f32::NAN;
+        assert!(matches!(networks.predict_depths(&maps(&bad, &[]), &control), Err(Error::NotFinite { .. })));
+        let short = Raster { data: vec![0.0; 10] };
+        assert!(matches!(networks.predict_depths(&maps(&short, &[]), &control), Err(Error::Argument { .. })));
+        let samples = [at(Layer::Visible, 0.0, f64::INFINITY, 1.0)];
+        assert_eq!(
+            networks.predict_depths(&maps(&good, &samples), &control),
             Err(Error::NotFinite { what: "depth sample", index: 0 })
-        ));
-        let maps = maps(&good, &[], &[]);
+        );
+        let maps = maps(&good, &[]);
         let depths = networks.predict_depths(&maps, &control).unwrap();
         assert!(matches!(networks.net_offsets(&maps, &depths, &[[0.0; 3]; 10], &control), Err(Error::Argument { .. })));
-        let net = [[f64::NAN; 3]; super::super::NET_POINTS];
+        let net = [[f64::NAN; 3]; NET_POINTS];
         assert!(matches!(networks.net_offsets(&maps, &depths, &net, &control), Err(Error::NotFinite { .. })));
     }
 }

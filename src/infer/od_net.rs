@@ -4,8 +4,8 @@ use super::SketchMaps;
 use super::backend::{Backend, Engine};
 use super::layers::LayerPrediction;
 use super::models::{Models, Network};
-use super::samples;
 use crate::error::Error;
+use crate::sketch::{SampleBase, sample_base};
 
 /// The loaded network.
 pub(super) struct OdNet(Box<dyn Engine>);
@@ -25,16 +25,18 @@ impl OdNet {
         samples: &[[f64; 3]],
     ) -> Result<LayerPrediction, Error> {
         // The prior is over the distance between the layers, not over the occluded layer itself.
-        let between: Vec<_> =
-            samples.iter().map(|&[x, y, h]| [x, y, h - visible.at(x, y).map_or(0.0, |(visible, _)| visible)]).collect();
-        let (base, deviation) = samples::posterior(&between)?;
-        let mut input = [maps.strokes, &base, &deviation, &visible.depth_offset].concat();
+        let between: Vec<_> = samples
+            .iter()
+            .map(|&[x, y, h]| ([x, y], h - visible.at(x, y).map_or(0.0, |(visible, _)| visible)))
+            .collect();
+        let SampleBase { base, std } = sample_base(&between);
+        let mut input = [maps.raster.data.as_slice(), &base, &std, &visible.depth_offset].concat();
         for k in 0..3 {
             input.extend(visible.normals.iter().map(|normal| normal[k]));
         }
         let output = self.0.run(&input)?;
         let under: Vec<f32> = visible.depth_offset.iter().zip(&base).map(|(visible, base)| visible + base).collect();
-        let mut layer = LayerPrediction::decode(&output, &under, &deviation, [maps.coverage(2), maps.coverage(3)]);
+        let mut layer = LayerPrediction::decode(&output, &under, &std, [maps.coverage(2), maps.coverage(3)]);
         layer.meet(samples)?;
         Ok(layer)
     }

@@ -4,8 +4,8 @@ use super::SketchMaps;
 use super::backend::{Backend, Engine};
 use super::layers::LayerPrediction;
 use super::models::{Models, Network};
-use super::samples;
 use crate::error::Error;
+use crate::sketch::{SampleBase, sample_base};
 
 /// The loaded network.
 pub(super) struct VdNet(Box<dyn Engine>);
@@ -19,10 +19,11 @@ impl VdNet {
     ///
     /// - `samples`: x, y, h on the visible layer.
     pub fn predict(&mut self, maps: &SketchMaps, samples: &[[f64; 3]]) -> Result<LayerPrediction, Error> {
-        let (base, deviation) = samples::posterior(samples)?;
-        let input = [maps.strokes, &base, &deviation].concat();
+        let points: Vec<_> = samples.iter().map(|&[x, y, h]| ([x, y], h)).collect();
+        let SampleBase { base, std } = sample_base(&points);
+        let input = [maps.raster.data.as_slice(), &base, &std].concat();
         let output = self.0.run(&input)?;
-        let mut layer = LayerPrediction::decode(&output, &base, &deviation, [maps.coverage(0), maps.coverage(1)]);
+        let mut layer = LayerPrediction::decode(&output, &base, &std, [maps.coverage(0), maps.coverage(1)]);
         layer.meet(samples)?;
         Ok(layer)
     }

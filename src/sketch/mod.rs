@@ -13,7 +13,8 @@ mod visibility;
 pub use json::{parse_json, write_json};
 pub use raster::{
     CANVAS_HALF_WIDTH, CANVAS_SIZE, MAP_SIZE, Raster, STROKE_CHANNELS, SampleBase, canvas_pixels, coverage,
-    horizontal_slope, map_coordinates, map_position, paper_raster, rasterize, sample_base,
+    horizontal_slope, map_coordinates, map_position, offset_covariance, paper_raster, rasterize, sample_base,
+    spread_out,
 };
 pub use stroke::{DepthSample, Layer, Sketch, Stroke, StrokeKind};
 pub use svg::{parse_svg, write_svg};

@@ -327,8 +327,8 @@ pub struct SampleBase {
     pub std: Vec<f32>,
 }
 
-/// Covariance of the depth offset at two canonical points.
-fn kernel(p: Point, q: Point) -> f64 {
+/// Prior covariance of the depth offset at two canonical points, see [`sample_base`].
+pub fn offset_covariance(p: Point, q: Point) -> f64 {
     let d = sub(p, q);
     let square = d[0] * d[0] + d[1] * d[1];
     CONSTANT_SD.powi(2)
@@ -348,7 +348,7 @@ pub fn sample_base(points: &[([f64; 2], f64)]) -> SampleBase {
     for i in 0..n {
         for j in 0..=i {
             let dot: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
-            let value = kernel(points[i].0, points[j].0) - dot;
+            let value = offset_covariance(points[i].0, points[j].0) - dot;
             factor[i][j] = if i == j { (value + SAMPLE_SD * SAMPLE_SD).sqrt() } else { value / factor[j][j] };
         }
     }
@@ -366,20 +366,20 @@ pub fn sample_base(points: &[([f64; 2], f64)]) -> SampleBase {
         for c in 0..MAP_SIZE {
             let p = map_position(row, c, MAP_SIZE);
             for (value, sample) in column.iter_mut().zip(&points) {
-                *value = kernel(p, sample.0);
+                *value = offset_covariance(p, sample.0);
             }
             solve(&mut column);
             let mean: f64 = column.iter().zip(&whitened).map(|(a, b)| a * b).sum();
             let known: f64 = column.iter().map(|a| a * a).sum();
             result.base.push(mean as f32);
-            result.std.push((kernel(p, p) - known).max(0.0).sqrt() as f32);
+            result.std.push((offset_covariance(p, p) - known).max(0.0).sqrt() as f32);
         }
     }
     result
 }
 
 /// At most [`MAX_SAMPLES`] of the samples, each as far as possible from those before.
-fn spread_out(points: &[(Point, f64)]) -> Vec<(Point, f64)> {
+pub fn spread_out(points: &[(Point, f64)]) -> Vec<(Point, f64)> {
     if points.len() <= MAX_SAMPLES {
         return points.to_vec();
     }
@@ -500,7 +500,7 @@ mod tests {
         let none = sample_base(&[]);
         assert!(none.base.iter().all(|&h| h == 0.0));
         let p = at(5, 60);
-        assert!((f64::from(none.std[5 * 64 + 60]) - kernel(p, p).sqrt()).abs() < 1e-6);
+        assert!((f64::from(none.std[5 * 64 + 60]) - offset_covariance(p, p).sqrt()).abs() < 1e-6);
         assert!(base.std.iter().zip(&none.std).all(|(a, b)| a <= b));
     }
 
