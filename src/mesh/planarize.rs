@@ -43,7 +43,8 @@ pub struct PlanarizeOptions {
     pub border: f64,
     /// Weight of the change of second differences along the polylines.
     pub fairness: f64,
-    /// Weight of the change of edge vectors; grows for an edge that loses more than half of its length.
+    /// Weight of the change of edge vectors, relative to the edge's length where it is shorter than the mean; grows for an
+    /// edge that loses more than half of its length.
     pub stretch: f64,
 }
 
@@ -541,17 +542,19 @@ impl<'a> State<'a> {
     fn run(&mut self, control: &Control) -> Result<(), Error> {
         let start = self.vertices.clone();
         for attempt in 0..6 {
-            let mut previous = f64::INFINITY;
+            let mut shortest = f64::INFINITY;
+            let mut idle = 0;
             for _ in 0..25 {
                 if self.rounds >= self.options.rounds {
                     break;
                 }
                 let step = self.round(Phase::Balance, control)?;
                 // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
-                if step < STEP_TOLERANCE || (step > 0.7 * previous && step < 50.0 * STEP_TOLERANCE) {
+                idle = if step > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
+                if step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3 {
                     break;
                 }
-                previous = step;
+                shortest = shortest.min(step);
             }
             self.refresh(STALE);
             let (_, far) = self.measure();
@@ -602,9 +605,9 @@ impl<'a> State<'a> {
             if best.1 <= 1e-12 {
                 break;
             }
-            self.round(Phase::Project, control)?;
+            let step = self.round(Phase::Project, control)?;
             let worst = self.measure().0;
-            if worst >= 0.5 * best.1 {
+            if worst >= 0.5 * best.1 && step < LONGEST_STEP {
                 if worst < best.1 {
                     best = (self.vertices.clone(), worst);
                 }
@@ -685,7 +688,7 @@ impl<'a> State<'a> {
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
-        Ok(longest.min(LONGEST_STEP))
+        Ok(longest)
     }
 
     /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
@@ -721,9 +724,11 @@ impl<'a> State<'a> {
                 self.input.mesh.vertices[w as usize] - self.input.mesh.vertices[v as usize],
                 self.vertices[w as usize] - self.vertices[v as usize],
             );
-            // A collapsed edge would make its faces planar: hold shrinking edges ever more firmly.
-            let left = (2.0 * after.norm() / before.norm().max(f64::MIN_POSITIVE)).clamp(1e-2, 1.0);
-            let weight = options.stretch / (left * left);
+            // Strains count, so that slivers keep their shape. A collapsed edge would make its faces planar: shrinking edges are
+            // held ever more firmly.
+            let length = (before.norm() / self.edge).clamp(1e-2, 1.0);
+            let left = (2.0 * after.norm() / before.norm().max(f64::MIN_POSITIVE)).clamp(1e-1, 1.0);
+            let weight = options.stretch / (length * left).powi(2);
             let change = (after - before) * (weight / self.edge);
             let block = Matrix3::identity() * weight;
             for (a, b, sign) in [(v, w, -1.0), (w, v, 1.0)] {
@@ -959,7 +964,8 @@ mod tests {
             }
             let change = |v: u32| (state.vertices[v as usize] - mesh.vertices[v as usize]) / edge;
             for &[a, b] in &state.edges {
-                sum += options.stretch * (change(b) - change(a)).norm_squared();
+                let length = (mesh.vertices[a as usize] - mesh.vertices[b as usize]).norm() / edge;
+                sum += options.stretch * ((change(b) - change(a)) / length.min(1.0)).norm_squared();
             }
             for &[a, b, c] in &polylines {
                 sum += options.fairness * (change(a) - change(b) * 2.0 + change(c)).norm_squared();
@@ -1131,6 +1137,119 @@ mod tests {
         for [a, b, c] in grid_polylines(&straight) {
             let [a, b, c] = [a, b, c].map(|v| straight.vertices[v as usize]);
             assert!(((b - a) - (c - b)).norm() < 1e-12);
+        }
+    }
+
+    /// A heightfield z = f(x, y) trimmed by the circle of radius `radius`, cells of a grid turned by `degrees`, cut off at the circle.
+    fn trimmed(f: impl Fn(f64, f64) -> f64, radius: f64, cell: f64, degrees: f64) -> (PanelMesh, Vec<u32>) {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let half = (radius / cell).ceil() as i64 + 1;
+        let corner = |i: i64, j: i64| [(i as f64 + 0.37) * cell, (j as f64 + 0.21) * cell];
+        let inside = |p: [f64; 2]| p[0].hypot(p[1]) < radius;
+        let mut plane: Vec<[f64; 2]> = vec![];
+        let mut faces = vec![];
+        let mut index = |p: [f64; 2]| {
+            plane.iter().position(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < 1e-9).unwrap_or_else(|| {
+                plane.push(p);
+                plane.len() - 1
+            }) as u32
+        };
+        for i in -half..half {
+            for j in -half..half {
+                let ring = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+                let mut face = vec![];
+                for k in 0..4 {
+                    let (a, b) = (ring[k], ring[(k + 1) % 4]);
+                    if inside(a) {
+                        face.push(index(a));
+                    }
+                    if inside(a) != inside(b) {
+                        let (mut low, mut high) = if inside(a) { (a, b) } else { (b, a) };
+                        for _ in 0..60 {
+                            let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
+                            if inside(middle) { low = middle } else { high = middle }
+                        }
+                        face.push(index(low));
+                    }
+                }
+                if face.len() >= 3 {
+                    faces.push(face);
+                }
+            }
+        }
+        let vertices: Vec<_> = plane
+            .iter()
+            .map(|p| {
+                let (x, y) = (p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos);
+                Point3::new(x, y, f(x, y))
+            })
+            .collect();
+        let border =
+            (0..plane.len() as u32).filter(|&v| plane[v as usize][0].hypot(plane[v as usize][1]) > radius - 1e-6);
+        let border = border.collect();
+        (PanelMesh::new(vertices, &faces).unwrap(), border)
+    }
+
+    /// Closest points, to first order, on a heightfield trimmed by a circle.
+    struct Trimmed<F: Fn(f64, f64) -> f64>(F, f64);
+
+    impl<F: Fn(f64, f64) -> f64> Reference for Trimmed<F> {
+        fn closest(&self, p: &Point3<f64>, _: Option<[f64; 2]>) -> Foot {
+            let h = 1e-5;
+            let (mut x, mut y) = (p.x, p.y);
+            let mut normal = Vector3::z();
+            for _ in 0..20 {
+                let z = (self.0)(x, y);
+                let (zx, zy) = (((self.0)(x + h, y) - z) / h, ((self.0)(x, y + h) - z) / h);
+                normal = Vector3::new(-zx, -zy, 1.0).normalize();
+                let foot = p.coords - normal * normal.dot(&(p.coords - Vector3::new(x, y, z)));
+                (x, y) = (foot.x, foot.y);
+            }
+            Foot { point: Point3::new(x, y, (self.0)(x, y)), direction: normal, parameters: [0.0; 2] }
+        }
+        fn closest_on_border(&self, p: &Point3<f64>, _: Option<[f64; 2]>) -> Option<Foot> {
+            let at = |a: f64| {
+                let (x, y) = (self.1 * a.cos(), self.1 * a.sin());
+                Point3::new(x, y, (self.0)(x, y))
+            };
+            let mut angle = p.y.atan2(p.x);
+            let h = 1e-5;
+            for _ in 0..20 {
+                let tangent = (at(angle + h) - at(angle - h)) / (2.0 * h);
+                angle += (p - at(angle)).dot(&tangent) / tangent.norm_squared();
+            }
+            let tangent = (at(angle + h) - at(angle - h)).normalize();
+            Some(Foot { point: at(angle), direction: tangent, parameters: [0.0; 2] })
+        }
+    }
+
+    #[test]
+    fn trimmed_cells_become_planar_on_the_border_too() {
+        let shapes: [(fn(f64, f64) -> f64, f64); 4] = [
+            (|x, y| 0.8 * (0.7 * x).sin() + 0.6 * (0.6 * y + 0.4).cos(), 0.0),
+            (|x, y| (36.0 - x * x - y * y).sqrt(), 20.0),
+            (|x, y| (x * x - y * y) / 8.0, 0.0),
+            (|x, y| (x * x - y * y) / 8.0, 10.0),
+        ];
+        for (f, degrees) in shapes {
+            let (mesh, border) = trimmed(f, 4.0, 0.45, degrees);
+            assert!(mesh.faces().any(|f| f.len() == 5) && mesh.faces().any(|f| f.len() == 3));
+            let reference = Trimmed(f, 4.0);
+            let polylines = grid_polylines(&mesh);
+            let input = PlanarizeInput {
+                mesh: &mesh,
+                reference: Some(&reference),
+                border: &border,
+                pins: &[],
+                polylines: &polylines,
+            };
+            let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+            assert!(result.planarity_max() < 1e-10 && result.is_close, "{:.1e}", result.planarity_max());
+            // Border vertices within 1e-3 of the width.
+            assert!(border.iter().all(|&v| result.deviation[v as usize] < 8e-3));
+            // Slivers keep their shape.
+            let shortest = |m: &PanelMesh| crate::mesh::edge_lengths(m).into_iter().fold(f64::INFINITY, f64::min);
+            assert!(shortest(&result.mesh) > 0.5 * shortest(&mesh));
         }
     }
 }
