@@ -5,9 +5,8 @@ use super::planarity::{edges, mean_edge_length, planarity};
 use super::reference::{Foot, MeshReference, Reference};
 use crate::control::Control;
 use crate::error::Error;
-use crate::numeric::SymbolicCholesky;
+use crate::numeric::{BlockMatrix, SymbolicCholesky};
 use nalgebra::{Matrix3, Point3, Vector3};
-use sprs::CsMat;
 
 /// What to planarize, and what to keep to.
 #[derive(Clone, Copy)]
@@ -322,79 +321,6 @@ fn product(matrix: &[f64], vector: &[f64]) -> Vec<f64> {
     matrix.chunks_exact(vector.len()).map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum()).collect()
 }
 
-/// The lower triangle of a symmetric matrix of 3 x 3 blocks in CSC, with the pattern fixed once.
-struct BlockMatrix {
-    matrix: CsMat<f64>,
-    /// For each block column, its start in `below`.
-    starts: Vec<usize>,
-    /// Block rows below the diagonal, ascending in each column.
-    below: Vec<u32>,
-    /// Start of each scalar column in the values.
-    columns: Vec<usize>,
-}
-
-impl BlockMatrix {
-    /// A matrix of `size` blocks a side, with blocks at `pairs` and on the diagonal.
-    fn new(size: usize, mut pairs: Vec<[u32; 2]>) -> Self {
-        pairs.iter_mut().for_each(|p| p.sort_unstable());
-        pairs.retain(|p| p[0] != p[1]);
-        pairs.sort_unstable();
-        pairs.dedup();
-        let mut starts = vec![0; size + 1];
-        for p in &pairs {
-            starts[p[0] as usize + 1] += 1;
-        }
-        for i in 0..size {
-            starts[i + 1] += starts[i];
-        }
-        let below: Vec<u32> = pairs.iter().map(|p| p[1]).collect();
-        let mut columns = Vec::with_capacity(3 * size + 1);
-        let mut rows = vec![];
-        columns.push(0);
-        for j in 0..size {
-            for b in 0..3 {
-                rows.extend((b..3).map(|a| 3 * j + a));
-                for &i in &below[starts[j]..starts[j + 1]] {
-                    rows.extend((0..3).map(|a| 3 * i as usize + a));
-                }
-                columns.push(rows.len());
-            }
-        }
-        let values = vec![0.0; rows.len()];
-        let matrix = CsMat::new_csc((3 * size, 3 * size), columns.clone(), rows, values);
-        Self { matrix, starts, below, columns }
-    }
-
-    fn clear(&mut self) {
-        self.matrix.data_mut().fill(0.0);
-    }
-
-    /// Adds `block` at block row i, block column j, and means its transpose at (j, i); for i = j a symmetric block.
-    fn add(&mut self, i: u32, j: u32, block: &Matrix3<f64>) {
-        if i < j {
-            return self.add(j, i, &block.transpose());
-        }
-        let column = j as usize;
-        let values = self.matrix.data_mut();
-        if i == j {
-            for b in 0..3 {
-                for a in b..3 {
-                    values[self.columns[3 * column + b] + a - b] += block[(a, b)];
-                }
-            }
-        } else {
-            let range = &self.below[self.starts[column]..self.starts[column + 1]];
-            let place = range.binary_search(&i).expect("every added block is in the pattern");
-            for b in 0..3 {
-                let start = self.columns[3 * column + b] + 3 - b + 3 * place;
-                for a in 0..3 {
-                    values[start + a] += block[(a, b)];
-                }
-            }
-        }
-    }
-}
-
 /// What a round aims at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
@@ -452,7 +378,7 @@ impl<'a> State<'a> {
         let edges = edges(input.mesh);
         pairs.extend_from_slice(&edges);
         let matrix = BlockMatrix::new(count, pairs);
-        let symbolic = SymbolicCholesky::new(&matrix.matrix)?;
+        let symbolic = SymbolicCholesky::new(matrix.matrix())?;
         let vertices = input.mesh.vertices.clone();
         let mut state = Self {
             input,
@@ -650,7 +576,7 @@ impl<'a> State<'a> {
             }
             equations.push(equation);
         }
-        let factor = self.symbolic.factorize(&self.matrix.matrix, "planarization")?;
+        let factor = self.symbolic.factorize(self.matrix.matrix(), "planarization")?;
 
         let mut step = vec![0.0; 3 * count];
         let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
@@ -1225,7 +1151,8 @@ mod tests {
 
     #[test]
     fn trimmed_cells_become_planar_on_the_border_too() {
-        let shapes: [(fn(f64, f64) -> f64, f64); 4] = [
+        type Height = fn(f64, f64) -> f64;
+        let shapes: [(Height, f64); 4] = [
             (|x, y| 0.8 * (0.7 * x).sin() + 0.6 * (0.6 * y + 0.4).cos(), 0.0),
             (|x, y| (36.0 - x * x - y * y).sqrt(), 20.0),
             (|x, y| (x * x - y * y) / 8.0, 0.0),
