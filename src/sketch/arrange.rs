@@ -139,7 +139,9 @@ pub(crate) fn arrange(curves: &[Curve]) -> Result<Arrangement, Flaw> {
     if edges.is_empty() {
         return Err(Flaw::NoOutline);
     }
-    Ok(faces(edges, nodes))
+    let mut arrangement = faces(edges, nodes);
+    untangle(&mut arrangement);
+    Ok(arrangement)
 }
 
 // --- snapping -----------------------------------------------------------------------------------------------------------
@@ -196,14 +198,24 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
                 if joins_both_ends(&clusters[a], &clusters[b], &total) {
                     continue;
                 }
-                let compatible = match (&clusters[a].hit, &clusters[b].hit) {
+                // Ends that overlap lie on each other's lines; together they are just ends.
+                let mut pair = [clusters[a].clone(), clusters[b].clone()];
+                let both: Vec<usize> = pair.iter().flat_map(|c| c.ends.iter().copied()).collect();
+                for cluster in &mut pair {
+                    let own = std::mem::replace(&mut cluster.ends, both.clone());
+                    forget_own_hit(cluster, curves, &total);
+                    cluster.ends = own;
+                }
+                let compatible = match (&pair[0].hit, &pair[1].hit) {
                     (Some((p, s)), Some((q, t))) => p == q && (s[0] - t[0]).abs() < 3.0 * SNAP_PX,
                     _ => true,
                 };
                 if !compatible {
                     continue;
                 }
-                let taken = std::mem::take(&mut clusters[b]);
+                let [kept, taken] = pair;
+                clusters[a] = kept;
+                clusters[b] = Cluster::default();
                 for &e in &taken.ends {
                     cluster_of[e] = a;
                 }
@@ -239,6 +251,19 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
 
     clusters.retain(|c| !c.ends.is_empty());
     clusters
+}
+
+/// Drops a hit close to the end of a curve whose end is in the cluster anyway.
+fn forget_own_hit(cluster: &mut Cluster, curves: &[Curve], total: &impl Fn(usize) -> f64) {
+    let Some((curve, s)) = &cluster.hit else { return };
+    let near = |e: usize| {
+        let along = if e % 2 == 0 { s[0] } else { total(*curve) - s[0] };
+        e / 2 == *curve && along < 1.5 * SNAP_PX
+    };
+    if cluster.ends.iter().any(|&e| near(e)) {
+        cluster.branches[kind_index(curves[*curve].kind)] -= 2;
+        cluster.hit = None;
+    }
 }
 
 /// Mean position of some of the ends.
@@ -434,10 +459,13 @@ fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact>
                     continue;
                 }
             }
-            // Near an end that is itself within reach, the ends belong together.
-            let to_start = s < 1.5 * SNAP_PX && distance(p, ends[2 * c]) <= SNAP_PX;
-            let to_end = whole - s < 1.5 * SNAP_PX && distance(p, ends[2 * c + 1]) <= SNAP_PX;
-            if d <= reach && !to_start && !to_end && best.get(&c).is_none_or(|b| d < b.0) {
+            // Near an end that is itself within reach, the ends belong together, unless the line itself is much nearer.
+            let end_distance = |side: usize, along: f64| {
+                let d = distance(p, ends[2 * c + side]);
+                if along < 1.5 * SNAP_PX && d <= SNAP_PX { d } else { f64::INFINITY }
+            };
+            let to_end = end_distance(0, s).min(end_distance(1, whole - s));
+            if d <= reach && d < 0.5 * to_end.min(2.0 * reach + 1.0) && best.get(&c).is_none_or(|b| d < b.0) {
                 best.insert(c, (d, s));
             }
         }
@@ -713,6 +741,12 @@ fn remove_slivers(edges: &mut Vec<Edge>) {
             by_ends.entry([e.nodes[0].min(e.nodes[1]), e.nodes[0].max(e.nodes[1])]).or_default().push(i);
         }
     }
+    let mut branches: BTreeMap<usize, Branches> = BTreeMap::new();
+    for e in edges.iter() {
+        for n in e.nodes {
+            branches.entry(n).or_default()[kind_index(e.kind)] += 1;
+        }
+    }
     let mut removed = vec![false; edges.len()];
     for group in by_ends.values().filter(|g| g.len() > 1) {
         for (x, &i) in group.iter().enumerate() {
@@ -730,13 +764,25 @@ fn remove_slivers(edges: &mut Vec<Edge>) {
                 if signed_area(&ring).abs() >= SLIVER_PX2 {
                     continue;
                 }
-                let kept_kind = edges[i].kind.min(edges[j].kind);
                 let (a, b) = (edges[i].kind, edges[j].kind);
                 let drop = if a == StrokeKind::Contour && b != a { i } else { j };
                 let keep = i + j - drop;
-                removed[drop] = true;
                 // Without the fold between them nothing hides the border.
-                edges[keep].kind = if a == b { a } else { kept_kind.min(StrokeKind::VisibleBoundary) };
+                let kind = if a == b { a } else { StrokeKind::VisibleBoundary };
+                // A tiny region may be real: it is, if the lines around it do not add up without it.
+                let after = edges[i].nodes.map(|n| {
+                    let mut left = branches[&n];
+                    left[kind_index(a)] -= 1;
+                    left[kind_index(b)] -= 1;
+                    left[kind_index(kind)] += 1;
+                    (n, left)
+                });
+                if after.iter().any(|&(n, left)| is_complete(branches[&n]) && !is_complete(left)) {
+                    continue;
+                }
+                branches.extend(after);
+                removed[drop] = true;
+                edges[keep].kind = kind;
             }
         }
     }
@@ -864,6 +910,28 @@ fn faces(edges: Vec<Edge>, nodes: Vec<Point>) -> Arrangement {
         arrangement.face_of[h] = face_of_cycle[cycle];
     }
     arrangement
+}
+
+/// Widest area between a contour and a border line that run side by side in the wrong order, px.
+const TANGLE_PX: f64 = 5.0;
+
+/// Where a contour and a border close behind it cross by the unsteadiness of the hand, the outer one is the contour.
+fn untangle(arrangement: &mut Arrangement) {
+    for f in 1..arrangement.faces.len() {
+        let &[ref cycle] = &arrangement.faces[f].cycles[..] else { continue };
+        let &[g, h] = &cycle[..] else { continue };
+        let (contour, border) = if arrangement.edges[g / 2].kind == StrokeKind::Contour { (g, h) } else { (h, g) };
+        let kinds = [contour, border].map(|h| arrangement.edges[h / 2].kind);
+        let outside = [contour, border].map(|h| arrangement.face_of[h ^ 1] == 0);
+        let longer = length(&arrangement.edges[border / 2].points);
+        if kinds == [StrokeKind::Contour, StrokeKind::OccludedBoundary]
+            && outside == [false, true]
+            && arrangement.faces[f].area < TANGLE_PX * longer
+        {
+            arrangement.edges[contour / 2].kind = StrokeKind::OccludedBoundary;
+            arrangement.edges[border / 2].kind = StrokeKind::Contour;
+        }
+    }
 }
 
 /// Where a curve first leaves the circle around its starting point.
