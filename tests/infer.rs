@@ -42,9 +42,50 @@ fn refusal(path: &Path) -> String {
     }
 }
 
+/// Compiles a library that answers as the head of an ONNX Runtime does, and has no body. `None` without a C compiler.
+#[cfg(unix)]
+fn hollow_runtime(folder: &Path, name: &str, base: &str, version: &str) -> Option<PathBuf> {
+    let (source, library) = (folder.join(format!("{name}.c")), folder.join(format!("lib{name}.so")));
+    let text = format!(
+        "typedef struct {{ const void *(*api)(unsigned); const char *(*version)(void); }} Base;
+         static const void *api(unsigned number) {{ (void)number; return 0; }}
+         static const char *version(void) {{ return {version}; }}
+         static const Base base = {{ api, version }};
+         const Base *OrtGetApiBase(void) {{ return {base}; }}"
+    );
+    std::fs::write(&source, text).unwrap();
+    let compiled = std::process::Command::new("cc").args(["-shared", "-fPIC", "-o"]).args([&library, &source]).status();
+    compiled.is_ok_and(|status| status.success()).then_some(library)
+}
+
+/// Libraries that pass for an ONNX Runtime until they are asked what they can do.
+#[cfg(unix)]
+fn old_and_hollow_runtimes_are_refused(folder: &Path) {
+    for (name, base, version, reason) in [
+        ("old", "&base", "\"1.16.3\"", "it is version 1.16.3, need 1.17 or later"),
+        ("strange", "&base", "\"unknown\"", "it is version unknown"),
+        ("other", "&base", "\"2.0.0\"", "it is version 2.0.0"),
+        ("speechless", "&base", "0", "it tells no version"),
+        ("refusing", "&base", "\"1.20.0\"", "version 1.20.0 refuses interface 17"),
+        ("baseless", "0", "\"1.20.0\"", "OrtGetApiBase returned null"),
+    ] {
+        let Some(path) = hollow_runtime(folder, name, base, version) else {
+            assert!(std::env::var_os("CI").is_none(), "no C compiler");
+            eprintln!("skipped: no C compiler");
+            return;
+        };
+        let message = refusal(&path);
+        assert!(message.contains(reason), "{message}");
+    }
+}
+
+#[cfg(not(unix))]
+fn old_and_hollow_runtimes_are_refused(_: &Path) {}
+
 #[test]
 fn both_backends_answer_alike_and_bad_runtimes_are_refused() {
     let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("hollow")).unwrap();
 
     // What is no runtime leaves the process able to load a real one afterwards.
     assert!(refusal(&folder.path().join("absent.so")).contains("no such file"));
@@ -55,6 +96,7 @@ fn both_backends_answer_alike_and_bad_runtimes_are_refused() {
     if let Some(path) = impostor(folder.path()) {
         assert!(refusal(&path).contains("OrtGetApiBase"));
     }
+    old_and_hollow_runtimes_are_refused(&folder.path().join("hollow"));
 
     // The search finds the runtime that the tests installed; only a machine without one may go without this check.
     let found = Backend::open(&options(BackendChoice::Ort, None));

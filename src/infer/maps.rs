@@ -17,7 +17,7 @@ pub(super) fn channel(maps: &[f32], index: usize) -> &[f32] {
 }
 
 /// Canonical x, y of the centre of pixel `index` (row-major).
-pub(super) fn pixel_center(index: usize) -> [f64; 2] {
+pub fn pixel_center(index: usize) -> [f64; 2] {
     map_position(index / MAP_SIZE, index % MAP_SIZE, MAP_SIZE)
 }
 
@@ -25,7 +25,7 @@ pub(super) fn pixel_center(index: usize) -> [f64; 2] {
 ///
 /// Points beyond the outermost pixel centres take the values at the border of the map (PyTorch's `grid_sample` with
 /// `align_corners=False, padding_mode="border"`).
-pub(super) fn bilinear(x: f64, y: f64) -> [(usize, f64); 4] {
+pub fn bilinear(x: f64, y: f64) -> [(usize, f64); 4] {
     let [row, column] = map_coordinates([x, y], MAP_SIZE).map(|t| t.clamp(0.0, (MAP_SIZE - 1) as f64));
     // The last pixel is reached with weight 1 from the one before it.
     let [r, c] = [row, column].map(|t| (t as usize).min(MAP_SIZE - 2));

@@ -22,6 +22,6 @@ pub use backend::{Backend, BackendChoice, BackendInfo, BackendOptions, Engine};
 pub use bsr_net::{NET_POINTS, NET_SIZE};
 pub use cdf_net::DirectionPrediction;
 pub use layers::{DepthPrediction, LayerPrediction};
-pub use maps::MAP_PIXELS;
+pub use maps::{MAP_PIXELS, bilinear, pixel_center};
 pub use models::{MANIFEST_FORMAT, Manifest, ModelEntry, Models, Network, TensorEntry, TrainingEntry};
 pub use networks::{Networks, SketchMaps};
