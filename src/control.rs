@@ -23,6 +23,11 @@ impl Control {
         Self { cancelled: Arc::default(), progress: Some(progress) }
     }
 
+    /// The same cancel flag, watched by another callback.
+    pub fn watched_by(&self, progress: Arc<ProgressCallback>) -> Self {
+        Self { cancelled: Arc::clone(&self.cancelled), progress: Some(progress) }
+    }
+
     /// Asks the running stage to stop; may be called from any thread.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);

@@ -4,6 +4,7 @@
 ///
 /// Positions are canvas coordinates, as the host drew them, unless the message says otherwise.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // The messages say what the fields are.
 pub enum Error {
     // --- input files and arguments
     /// A file could not be read or written.

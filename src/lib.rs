@@ -11,17 +11,19 @@
 //! - [`mesh`]: quad extraction, borders, planarity, planarization.
 //! - [`pipeline`]: the three calls that a host makes, one for each arrow.
 //!
-//! [`numeric`] solves sparse systems and knows no geometry. [`datagen`] makes training data with the very same [`sketch`]
+//! [`ffi`] lends them to C. [`numeric`] solves sparse systems and knows no geometry. [`datagen`] makes training data with the very same [`sketch`]
 //! code, [`evaluate`] measures. Imports point downwards only (see CONTRIBUTING.md).
 
 pub mod control;
 pub mod datagen;
 pub mod error;
+pub mod ffi;
 pub mod field;
 pub mod infer;
 pub mod mesh;
 pub mod numeric;
 pub mod picture;
+pub mod pipeline;
 pub mod sketch;
 pub mod surface;
 

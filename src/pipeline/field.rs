@@ -1,0 +1,303 @@
+//! Second call: surface to conjugate direction field.
+
+use super::lift::{Guess, feature_constraints, guess_directions, seen_layers};
+use super::placement::Placement;
+use super::report::Report;
+use super::session::{Session, Times, timed};
+use super::surface::{SurfacePatch, SurfaceResult};
+use crate::control::Control;
+use crate::error::Error;
+use crate::field::{ConjugateField, conjugate_field};
+use crate::infer::{Networks, SketchMaps};
+use crate::sketch::{CanonicalFrame, PatchSketch, Sketch, StrokeKind, rasterize, understand};
+use crate::surface::{NurbsSurface, SurfaceMesh};
+use nalgebra::{Point3, Vector3};
+
+/// What a host may ask of a field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldOptions {
+    /// Whether the network's guess steers the field where the sketch has an outline.
+    pub use_network: bool,
+    /// Whether one family follows the border.
+    pub align_border: bool,
+    /// Cells of the triangulation along the longer side of a patch, 8 to 256; 0: chosen by the library.
+    pub resolution: usize,
+    /// Smallest crossing angle of the two families, degrees, in (0, 80].
+    pub crossing_floor_deg: f64,
+}
+
+/// Cells along the longer side of a patch unless the host says otherwise.
+const DEFAULT_RESOLUTION: usize = 48;
+/// Range of what a host may say, and fewest cells along the shorter side.
+const RESOLUTIONS: std::ops::RangeInclusive<usize> = 8..=256;
+
+impl FieldOptions {
+    /// The defaults.
+    pub const DEFAULT: Self = Self { use_network: true, align_border: false, resolution: 0, crossing_floor_deg: 20.0 };
+
+    fn check(&self) -> Result<(), Error> {
+        if self.resolution != 0 && !RESOLUTIONS.contains(&self.resolution) {
+            let value = self.resolution.to_string();
+            return Err(Error::Argument { name: "resolution", value, expected: "0, or a number from 8 to 256" });
+        }
+        Ok(())
+    }
+}
+
+impl Default for FieldOptions {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// The field of one patch, and the surface that it lies on, both in the patch's working frame.
+#[derive(Clone, Debug)]
+pub struct FieldPatch {
+    /// Two directions on each triangle, working frame.
+    pub field: ConjugateField,
+    /// The surface, working frame.
+    pub surface: NurbsSurface,
+    /// From the working frame to the world.
+    pub placement: Placement,
+    /// Feature lines on the surface: polylines, working frame.
+    pub feature_lines: Vec<Vec<Point3<f64>>>,
+}
+
+impl FieldPatch {
+    /// Vertices of the field's triangulation, world frame.
+    pub fn vertices(&self) -> impl ExactSizeIterator<Item = Point3<f64>> {
+        self.field.mesh.points.iter().map(|p| self.placement.to_world(&p.position))
+    }
+
+    /// Directions u and v of each triangle, unit, world frame.
+    pub fn directions(&self) -> impl ExactSizeIterator<Item = [Vector3<f64>; 2]> {
+        self.field.directions.iter().map(|pair| pair.map(|d| self.placement.direction_to_world(&d)))
+    }
+}
+
+/// Fields of all patches.
+#[derive(Clone, Debug)]
+pub struct FieldResult {
+    /// One for each patch of the surface.
+    pub patches: Vec<FieldPatch>,
+    /// Measures and times so far.
+    pub report: Report,
+}
+
+/// How good a field is, over all patches.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FieldMeasures {
+    /// Mean conjugacy residual |II(u, v)| / (|II| |u| |v|) over the curved triangles.
+    pub conjugacy_mean: f64,
+    /// Largest of the same.
+    pub conjugacy_max: f64,
+    /// Smallest crossing angle of the two families, degrees.
+    pub crossing_min_deg: f64,
+    /// Mean angle between the feature lines and the nearer family, degrees; 0 without feature lines.
+    pub feature_angle_deg: f64,
+    /// Smoothness energy, summed.
+    pub smoothness_energy: f64,
+}
+
+impl FieldResult {
+    /// Measures over all patches; means are weighted by the number of triangles.
+    pub fn measures(&self) -> FieldMeasures {
+        let mut all = FieldMeasures { crossing_min_deg: 90.0, ..FieldMeasures::default() };
+        let count: usize = self.patches.iter().map(|p| p.field.directions.len()).sum();
+        let mut lined = 0;
+        for patch in &self.patches {
+            let d = &patch.field.diagnostics;
+            let share = patch.field.directions.len() as f64 / count.max(1) as f64;
+            all.conjugacy_mean += share * d.conjugacy_mean;
+            all.conjugacy_max = all.conjugacy_max.max(d.conjugacy_max);
+            all.crossing_min_deg = all.crossing_min_deg.min(d.crossing_min_deg);
+            all.smoothness_energy += d.smoothness_energy;
+            if !patch.feature_lines.is_empty() {
+                all.feature_angle_deg += d.constraint_angle_deg;
+                lined += 1;
+            }
+        }
+        all.feature_angle_deg /= f64::from(lined.max(1));
+        all
+    }
+}
+
+/// Finds a conjugate direction field on each patch of a surface.
+///
+/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own surface, lines drawn
+///   over its picture in the sketch's view; or none: the surface alone decides.
+///
+/// Where the sketch has an outline, CDF-Net guesses the directions in the canvas plane; they are lifted to the first and second layer of the
+/// surface along the view. Feature lines are lifted to the first layer and steer the field as strong soft constraints.
+///
+/// # Errors
+/// [`Error::Argument`] for options out of range; as [`understand`] for the sketch and [`conjugate_field`] for the surface;
+/// [`Error::Backend`] and [`Error::Model`] from the network; [`Error::Cancelled`].
+///
+/// # Source
+/// Sketch2PQ, Sec. 3.2.4 and 3.3. The paper smooths the lifted guess; here the solver starts from it and keeps the field conjugate.
+pub fn sketch_to_cdf(
+    session: &mut Session,
+    sketch: Option<&Sketch>,
+    surface: &SurfaceResult,
+    options: &FieldOptions,
+) -> Result<FieldResult, Error> {
+    options.check()?;
+    session.run(|networks, control| run(networks, sketch, surface, options, control))
+}
+
+fn run(
+    networks: &mut Networks,
+    sketch: Option<&Sketch>,
+    surface: &SurfaceResult,
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<FieldResult, Error> {
+    let mut times = surface.report.time_ms;
+    control.step("field", 0.0)?;
+    let drawn = match sketch {
+        Some(sketch) if sketch.strokes.iter().any(|s| s.kind.is_structural()) => {
+            timed(&mut times.sketch, || understand(sketch))?.patches
+        }
+        _ => vec![],
+    };
+    let mut patches = Vec::with_capacity(surface.patches.len());
+    for (index, patch) in surface.patches.iter().enumerate() {
+        let outline = if drawn.len() == surface.patches.len() {
+            drawn.get(index)
+        } else {
+            // Fewer or more outlines than patches: the outline that the patch covers best.
+            sketch.and_then(|sketch| best_outline(&drawn, patch, sketch))
+        };
+        patches.push(patch_field(networks, sketch, outline, patch, options, control, &mut times)?);
+    }
+    control.step("field", 1.0)?;
+    let mut result = FieldResult { patches, report: Report::new() };
+    let all = result.measures();
+    let has_lines = result.patches.iter().any(|p| !p.feature_lines.is_empty());
+    let backend = networks.backend().to_string();
+    result.report = Report {
+        backend: surface
+            .report
+            .backend
+            .clone()
+            .or_else(|| (options.use_network && !drawn.is_empty()).then_some(backend)),
+        conjugacy_mean: Some(all.conjugacy_mean),
+        crossing_min_deg: Some(all.crossing_min_deg),
+        e_smooth: Some(all.smoothness_energy),
+        field_d_f_deg: has_lines.then_some(all.feature_angle_deg),
+        singularities: Some(result.patches.iter().map(|p| p.field.singularities.len()).sum()),
+        time_ms: times,
+        ..surface.report.clone()
+    };
+    Ok(result)
+}
+
+/// Box around canvas-plane points: lowest and highest x, y.
+fn bounds(points: impl Iterator<Item = [f64; 2]>) -> [[f64; 2]; 2] {
+    points.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], p| {
+        [[0, 1].map(|k| low[k].min(p[k])), [0, 1].map(|k| high[k].max(p[k]))]
+    })
+}
+
+/// Camera x, y of a patch's control points.
+fn seen_points<'a>(patch: &'a SurfacePatch, sketch: &'a Sketch) -> impl Iterator<Item = [f64; 2]> + 'a {
+    patch.surface.control_points().iter().map(|p| {
+        let p = sketch.view.world_to_camera(p);
+        [p.x, p.y]
+    })
+}
+
+/// The outline whose bounding box has the largest share in common with the patch's.
+fn best_outline<'a>(drawn: &'a [PatchSketch], patch: &SurfacePatch, sketch: &Sketch) -> Option<&'a PatchSketch> {
+    let seen = bounds(seen_points(patch, sketch));
+    let area = |[low, high]: [[f64; 2]; 2]| (high[0] - low[0]).max(0.0) * (high[1] - low[1]).max(0.0);
+    let share = |outline: &PatchSketch| {
+        let drawn = bounds(outline.border.iter().map(|b| outline.frame.to_camera(b.position)));
+        let common = [[0, 1].map(|k| seen[0][k].max(drawn[0][k])), [0, 1].map(|k| seen[1][k].min(drawn[1][k]))];
+        area(common) / (area(seen) + area(drawn) - area(common))
+    };
+    drawn
+        .iter()
+        .map(|outline| (share(outline), outline))
+        .filter(|(share, _)| *share > 0.0)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, outline)| outline)
+}
+
+#[allow(clippy::too_many_arguments)]
+fn patch_field(
+    networks: &mut Networks,
+    sketch: Option<&Sketch>,
+    outline: Option<&PatchSketch>,
+    patch: &SurfacePatch,
+    options: &FieldOptions,
+    control: &Control,
+    times: &mut Times,
+) -> Result<FieldPatch, Error> {
+    // Work in the sketch's canonical frame where there is a sketch: x and y are its canvas then.
+    let frame = match (sketch, outline) {
+        (_, Some(outline)) => Some(outline.frame),
+        (Some(sketch), None) => CanonicalFrame::fitting(seen_points(patch, sketch)),
+        (None, None) => None,
+    };
+    let placement = match (sketch, frame) {
+        (Some(sketch), Some(frame)) => Placement::of_sketch(&sketch.view, &frame, 0.0),
+        _ => patch.placement,
+    };
+    let surface = patch.surface.mapped(|p| placement.from_world(p));
+    let mesh = timed(&mut times.field, || SurfaceMesh::new(&surface, cells(&surface, options.resolution)))?;
+    let layers = timed(&mut times.field, || sketch.map(|_| seen_layers(&mesh)));
+
+    let mut guess = None;
+    if let (Some(outline), Some(layers), true) = (outline, &layers, options.use_network) {
+        let raster = timed(&mut times.sketch, || rasterize(outline));
+        let maps = SketchMaps::new(outline, &raster);
+        let seen = timed(&mut times.field, || layers.prediction(&raster, maps.slope));
+        let predicted = timed(&mut times.infer, || networks.predict_directions(&maps, &seen, control))?;
+        guess = Some(timed(&mut times.field, || guess_directions(&mesh, layers, &Guess { predicted, seen })));
+    }
+    let lines: Vec<Vec<[f64; 2]>> = match (sketch, outline, frame) {
+        (_, Some(outline), _) => {
+            outline.strokes.iter().filter(|s| s.kind == StrokeKind::Feature).map(|s| s.points.clone()).collect()
+        }
+        (Some(sketch), None, Some(frame)) => {
+            let features = sketch.strokes.iter().filter(|s| s.kind == StrokeKind::Feature);
+            let canonical = |p: &[f64; 2]| frame.from_camera(sketch.view.canvas_to_camera(*p));
+            features.map(|s| s.points.iter().map(canonical).collect()).collect()
+        }
+        _ => vec![],
+    };
+    let (constraints, feature_lines) = match &layers {
+        Some(layers) => timed(&mut times.field, || feature_constraints(&mesh, layers, &lines)),
+        None => (vec![], vec![]),
+    };
+    let solver = crate::field::FieldOptions {
+        crossing_floor_deg: options.crossing_floor_deg,
+        aligned_sides: [options.align_border; 4],
+        ..crate::field::FieldOptions::default()
+    };
+    let field =
+        timed(&mut times.field, || conjugate_field(mesh.clone(), guess.as_deref(), &constraints, &solver, control))?;
+    Ok(FieldPatch { field, surface, placement, feature_lines })
+}
+
+/// Cells in u and v: squares, about, with `resolution` of them along the longer side.
+fn cells(surface: &NurbsSurface, resolution: usize) -> [usize; 2] {
+    const SAMPLES: usize = 16;
+    let longest = if resolution == 0 { DEFAULT_RESOLUTION } else { resolution };
+    let point = |s: usize, t: usize| {
+        let [u, v] = surface.at_fraction(s as f64 / SAMPLES as f64, t as f64 / SAMPLES as f64);
+        surface.point(u, v)
+    };
+    // Mean lengths of the parameter lines at both ends and in the middle.
+    let mut lengths = [0.0; 2];
+    for fixed in [0, SAMPLES / 2, SAMPLES] {
+        for k in 0..SAMPLES {
+            lengths[0] += (point(k + 1, fixed) - point(k, fixed)).norm();
+            lengths[1] += (point(fixed, k + 1) - point(fixed, k)).norm();
+        }
+    }
+    let longer = lengths[0].max(lengths[1]).max(f64::MIN_POSITIVE);
+    lengths.map(|l| ((longest as f64 * l / longer).round() as usize).clamp(*RESOLUTIONS.start(), longest))
+}
