@@ -1,0 +1,306 @@
+//! Conjugate direction fields: the second call, and views.
+
+use super::guard::guard;
+use super::handle::{Handle, free, get, lend};
+use super::options::{Sized32, fill, read, write};
+use super::session::S2pqSession;
+use super::sketch::S2pqSketch;
+use super::surface::S2pqSurface;
+use super::{S2pqStatus, flag, lend_array, lend_text, lent_text, output};
+use crate::pipeline::{self, FieldOptions, FieldResult};
+use std::ffi::{CString, c_char};
+
+/// Options of sketch_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct S2pqFieldOptions {
+    /// sizeof(S2pqFieldOptions)
+    pub struct_size: u32,
+    /// 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and smoothness alone.
+    pub use_network: u32,
+    /// 1: one family of directions follows the border; 0, the default: it may cross it.
+    pub align_border: u32,
+    /// Cells of the triangulation along the longer side of a patch; 0, the default: chosen by the library. 8 to 256.
+    pub resolution: u32,
+    /// Smallest crossing angle of the two families, degrees, in (0, 80]. Default 20.
+    pub crossing_floor_deg: f64,
+}
+
+// SAFETY: repr(C), size first, four u32 and an f64: no padding, all bits valid.
+unsafe impl Sized32 for S2pqFieldOptions {
+    const NAME: &'static str = "S2pqFieldOptions";
+    const DEFAULT: Self = Self {
+        struct_size: 0,
+        use_network: FieldOptions::DEFAULT.use_network as u32,
+        align_border: FieldOptions::DEFAULT.align_border as u32,
+        resolution: FieldOptions::DEFAULT.resolution as u32,
+        crossing_floor_deg: FieldOptions::DEFAULT.crossing_floor_deg,
+    };
+}
+
+/// How good a field is, over all its patches. Set struct_size before the call.
+#[derive(Clone, Copy, Default)]
+#[repr(C)]
+pub struct S2pqFieldDiagnostics {
+    /// sizeof(S2pqFieldDiagnostics)
+    pub struct_size: u32,
+    /// Number of singular vertices.
+    pub singularities: u32,
+    /// Mean over the curved triangles of |II(u, v)| / (|II| |u| |v|), in [0, 1/sqrt 2].
+    pub conjugacy_mean: f64,
+    /// Largest of the same.
+    pub conjugacy_max: f64,
+    /// Smallest angle between the two families, degrees.
+    pub crossing_min_deg: f64,
+    /// Mean angle between the feature lines and the nearer family, degrees; 0 without feature lines.
+    pub feature_angle_deg: f64,
+}
+
+// SAFETY: repr(C), size first, two u32 and four f64: no padding, all bits valid.
+unsafe impl Sized32 for S2pqFieldDiagnostics {
+    const NAME: &'static str = "S2pqFieldDiagnostics";
+    const DEFAULT: Self = Self {
+        struct_size: 0,
+        singularities: 0,
+        conjugacy_mean: 0.0,
+        conjugacy_max: 0.0,
+        crossing_min_deg: 0.0,
+        feature_angle_deg: 0.0,
+    };
+}
+
+/// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's handle.
+pub struct S2pqField {
+    pub(super) result: FieldResult,
+    vertices: Vec<f64>,
+    triangles: Vec<u32>,
+    directions: Vec<f64>,
+    singular_vertices: Vec<u32>,
+    singular_indices: Vec<i32>,
+    vertex_starts: Vec<u32>,
+    triangle_starts: Vec<u32>,
+    report: CString,
+}
+
+impl Handle for S2pqField {
+    const NAME: &'static str = "S2pqField";
+}
+
+impl S2pqField {
+    fn new(result: FieldResult) -> Self {
+        let report = lent_text(result.report.to_json());
+        let mut field = Self {
+            vertices: vec![],
+            triangles: vec![],
+            directions: vec![],
+            singular_vertices: vec![],
+            singular_indices: vec![],
+            vertex_starts: vec![0],
+            triangle_starts: vec![0],
+            report,
+            result,
+        };
+        for patch in &field.result.patches {
+            let first = (field.vertices.len() / 3) as u32;
+            field.vertices.extend(patch.vertices().flat_map(|p| [p.x, p.y, p.z]));
+            field.triangles.extend(patch.field.mesh.triangles.iter().flatten().map(|v| first + v));
+            field.directions.extend(patch.directions().flat_map(|[u, v]| [u.x, u.y, u.z, v.x, v.y, v.z]));
+            field.singular_vertices.extend(patch.field.singularities.iter().map(|s| first + s.vertex));
+            field.singular_indices.extend(patch.field.singularities.iter().map(|s| s.index));
+            field.vertex_starts.push((field.vertices.len() / 3) as u32);
+            field.triangle_starts.push((field.triangles.len() / 3) as u32);
+        }
+        field
+    }
+}
+
+/// Gives every option its default.
+///
+/// - `size`: sizeof(S2pqFieldOptions) as the host compiled it.
+///
+/// # Safety
+/// `options` is valid for writing `size` bytes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_options_init(options: *mut S2pqFieldOptions, size: usize) -> S2pqStatus {
+    // SAFETY: the host's promise.
+    guard(|| unsafe { write(options, size, &S2pqFieldOptions::DEFAULT) })
+}
+
+/// Finds a conjugate direction field on a surface, aligned with the feature lines of a sketch.
+///
+/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own surface, feature lines drawn over its
+///   picture in the sketch's view; or NULL: the surface alone decides.
+/// - `surface`: read only.
+/// - `options`: NULL for the defaults.
+/// - `field`: takes the new field.
+///
+/// # Safety
+/// `options` is NULL or valid as its `struct_size` says; `field` is valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sketch_to_cdf(
+    session: *mut S2pqSession,
+    sketch: *const S2pqSketch,
+    surface: *const S2pqSurface,
+    options: *const S2pqFieldOptions,
+    field: *mut *mut S2pqField,
+) -> S2pqStatus {
+    guard(|| {
+        let place = output("field", field)?;
+        // SAFETY: not freed during the call, as the header asks.
+        let (session, surface) = unsafe { (get(session)?, get(surface)?) };
+        // SAFETY: not freed during the call, as the header asks.
+        let sketch = if sketch.is_null() { None } else { Some(&unsafe { get(sketch) }?.sketch) };
+        // SAFETY: the host's promise.
+        let options = unsafe { read(options) }?;
+        let options = FieldOptions {
+            use_network: flag("use_network", options.use_network)?,
+            align_border: flag("align_border", options.align_border)?,
+            resolution: options.resolution as usize,
+            crossing_floor_deg: options.crossing_floor_deg,
+        };
+        let result = pipeline::sketch_to_cdf(&mut *session.lock()?, sketch, &surface.result, &options)?;
+        place.set(lend(S2pqField::new(result)));
+        Ok(())
+    })
+}
+
+/// First vertex and first triangle of each patch, `patch_count` + 1 entries each; lent until the field is freed.
+///
+/// The arrays of a field hold its patches one after another.
+///
+/// # Safety
+/// `vertex_starts`, `triangle_starts` and `patch_count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_patches(
+    field: *const S2pqField,
+    vertex_starts: *mut *const u32,
+    triangle_starts: *mut *const u32,
+    patch_count: *mut usize,
+) -> S2pqStatus {
+    guard(|| {
+        // SAFETY: not freed during the call, as the header asks.
+        let field = unsafe { get(field) }?;
+        let (vertices, triangles) =
+            (output("vertex_starts", vertex_starts)?, output("triangle_starts", triangle_starts)?);
+        output("patch_count", patch_count)?.set(field.result.patches.len());
+        vertices.set(field.vertex_starts.as_ptr());
+        triangles.set(field.triangle_starts.as_ptr());
+        Ok(())
+    })
+}
+
+/// Vertices of the triangulation, `count` times x, y, z, world frame; lent until the field is freed.
+///
+/// # Safety
+/// `xyz` and `count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_vertices(
+    field: *const S2pqField,
+    xyz: *mut *const f64,
+    count: *mut usize,
+) -> S2pqStatus {
+    // SAFETY: not freed during the call, as the header asks.
+    guard(|| lend_array(&unsafe { get(field) }?.vertices, 3, xyz, count))
+}
+
+/// Triangles, `count` times three vertex indices, counter-clockwise about S_u x S_v; lent until the field is freed.
+///
+/// # Safety
+/// `indices` and `count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_triangles(
+    field: *const S2pqField,
+    indices: *mut *const u32,
+    count: *mut usize,
+) -> S2pqStatus {
+    // SAFETY: not freed during the call, as the header asks.
+    guard(|| lend_array(&unsafe { get(field) }?.triangles, 3, indices, count))
+}
+
+/// Directions, for each triangle u then v, unit vectors in its plane, world frame, `count` times six numbers; lent until the field is freed.
+///
+/// u and v carry no sign and no order from one triangle to the next: the cross u, v, -u, -v is what continues.
+///
+/// # Safety
+/// `uv` and `count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_directions(
+    field: *const S2pqField,
+    uv: *mut *const f64,
+    count: *mut usize,
+) -> S2pqStatus {
+    // SAFETY: not freed during the call, as the header asks.
+    guard(|| lend_array(&unsafe { get(field) }?.directions, 6, uv, count))
+}
+
+/// Singular vertices and their indices in quarter turns: +1 where three, -1 where five quads meet; lent until the field is freed.
+///
+/// # Safety
+/// `vertices`, `indices` and `count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_singularities(
+    field: *const S2pqField,
+    vertices: *mut *const u32,
+    indices: *mut *const i32,
+    count: *mut usize,
+) -> S2pqStatus {
+    guard(|| {
+        // SAFETY: not freed during the call, as the header asks.
+        let field = unsafe { get(field) }?;
+        let indices = output("indices", indices)?;
+        lend_array(&field.singular_vertices, 1, vertices, count)?;
+        indices.set(field.singular_indices.as_ptr());
+        Ok(())
+    })
+}
+
+/// How good a field is.
+///
+/// - `diagnostics`: set its struct_size first.
+///
+/// # Safety
+/// `diagnostics` is valid for writing as many bytes as its `struct_size` says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_diagnostics(
+    field: *const S2pqField,
+    diagnostics: *mut S2pqFieldDiagnostics,
+) -> S2pqStatus {
+    guard(|| {
+        // SAFETY: not freed during the call, as the header asks.
+        let field = unsafe { get(field) }?;
+        let all = field.result.measures();
+        let value = S2pqFieldDiagnostics {
+            struct_size: 0,
+            singularities: field.singular_vertices.len() as u32,
+            conjugacy_mean: all.conjugacy_mean,
+            conjugacy_max: all.conjugacy_max,
+            crossing_min_deg: all.crossing_min_deg,
+            feature_angle_deg: all.feature_angle_deg,
+        };
+        // SAFETY: the host's promise.
+        unsafe { fill(diagnostics, &value) }
+    })
+}
+
+/// Measures and times so far as JSON, UTF-8, NUL-terminated; lent until the field is freed.
+///
+/// # Safety
+/// `json` and `length` are valid for writing; `length` may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_report_json(
+    field: *const S2pqField,
+    json: *mut *const c_char,
+    length: *mut usize,
+) -> S2pqStatus {
+    // SAFETY: not freed during the call, as the header asks.
+    guard(|| lend_text(&unsafe { get(field) }?.report, json, length))
+}
+
+/// Frees a field; NULL is fine. Meshes made from it stay alive.
+///
+/// # Safety
+/// No call uses the field or a view of it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_free(field: *mut S2pqField) {
+    free(field);
+}
