@@ -1,0 +1,546 @@
+"""An architect's sketch in, a NURBS surface and a mesh of planar quads out.
+
+    from sketch2pq import Session, Sketch
+
+    session = Session()
+    sketch = Sketch()
+    sketch.add_stroke("visible_boundary", [(30, 190), (130, 222), (228, 192), ...])
+    surface = session.surface(sketch)
+    field = session.field(surface, sketch)
+    mesh = session.mesh(field, faces=300)
+    mesh.vertices, mesh.faces, mesh.planarity
+
+Needs NumPy and the shared library, see native.library_path. World frame: right-handed, z up, in the canvas' unit. Arrays of results are read-only
+views into the library's memory, and keep it alive. One thread at a time for each object; Session.cancel works from any thread.
+"""
+
+import ctypes
+import json
+from pathlib import Path
+
+import numpy as np
+
+try:
+    from . import native
+except ImportError:
+    import native
+
+_library = None
+
+STROKE_KINDS = {"visible_boundary": 0, "occluded_boundary": 1, "contour": 2, "feature": 3}
+LAYERS = {"visible": 0, "occluded": 1}
+BACKENDS = {"auto": 0, "ort": 1, "embedded": 2}
+BORDERS = {"trimmed": 0, "aligned": 1, "interior": 2}
+
+
+class Error(Exception):
+    """A call failed: `status` is a number of the ABI, `message` says what happened and where."""
+
+    def __init__(self, status, message):
+        super().__init__(message)
+        self.status = status
+        self.message = message
+
+
+class SketchError(Error):
+    """The sketch is empty, open, or contradicts itself: change the drawing where the message says."""
+
+
+class GeometryError(Error):
+    """The surface, field or mesh is degenerate."""
+
+
+class NotReached(Error):
+    """A target could not be reached: relax it."""
+
+
+class Cancelled(Error):
+    """Session.cancel was called."""
+
+
+class Unavailable(Error):
+    """A file, a model or the backend cannot be used."""
+
+
+class InternalError(Error):
+    """A defect of the library: report it."""
+
+
+class ArgumentError(Error, ValueError):
+    """An argument is outside its range."""
+
+
+_ERRORS = {
+    native.INVALID_ARGUMENT: ArgumentError,
+    native.INVALID_SKETCH: SketchError,
+    native.INVALID_GEOMETRY: GeometryError,
+    native.NOT_REACHED: NotReached,
+    native.CANCELLED: Cancelled,
+    native.UNAVAILABLE: Unavailable,
+    native.INTERNAL: InternalError,
+}
+
+
+def library():
+    """The loaded library; the first call loads it."""
+    global _library
+    if _library is None:
+        _library = native.load()
+    return _library
+
+
+def version():
+    """Version of the library, "major.minor.patch"."""
+    return library().s2pq_version().decode()
+
+
+def _check(status):
+    if status != native.OK:
+        length = library().s2pq_last_message(None, 0)
+        buffer = ctypes.create_string_buffer(length + 1)
+        library().s2pq_last_message(buffer, length + 1)
+        raise _ERRORS.get(status, Error)(status, buffer.value.decode())
+
+
+def _number(names, name, what):
+    if name not in names:
+        raise ArgumentError(native.INVALID_ARGUMENT, f"{what} is {name!r}, expected one of {', '.join(names)}")
+    return names[name]
+
+
+def _doubles(values, columns, what):
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, columns)
+    except (TypeError, ValueError):
+        raise ArgumentError(native.INVALID_ARGUMENT, f"{what}: expected rows of {columns} numbers") from None
+    return array, array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+class _Handle:
+    """An object of the library, freed with its last reference; views of results hold one."""
+
+    _free = None
+
+    def __init__(self, pointer):
+        self._pointer = pointer
+
+    def __del__(self):
+        if getattr(self, "_pointer", None) and _library is not None:
+            getattr(_library, self._free)(self._pointer)
+            self._pointer = None
+
+    def _view(self, pointer, count, columns=None):
+        """A read-only array over `count` (times `columns`) values that the library lends."""
+        shape = (count,) if columns is None else (count, columns)
+        if count == 0:
+            return np.empty(shape, dtype=np.dtype(pointer._type_))
+        size = count * (columns or 1)
+        buffer = (pointer._type_ * size).from_address(ctypes.addressof(pointer.contents))
+        buffer._owner = self
+        array = np.frombuffer(buffer, dtype=np.dtype(pointer._type_)).reshape(shape)
+        array.flags.writeable = False
+        return array
+
+    def _array(self, export, value_type, columns=None):
+        pointer, count = ctypes.POINTER(value_type)(), ctypes.c_size_t()
+        _check(getattr(library(), export)(self._pointer, ctypes.byref(pointer), ctypes.byref(count)))
+        return self._view(pointer, count.value, columns)
+
+    def _string(self, export):
+        text = ctypes.c_char_p()
+        _check(getattr(library(), export)(self._pointer, ctypes.byref(text), None))
+        return text.value.decode()
+
+    def _struct(self, export, struct, *arguments):
+        value = struct(struct_size=ctypes.sizeof(struct))
+        _check(getattr(library(), export)(self._pointer, *arguments, ctypes.byref(value)))
+        return value
+
+
+def _measures(struct):
+    return {name: getattr(struct, name) for name, _ in struct._fields_ if name not in ("struct_size", "reserved")}
+
+
+def _options(struct, init, **values):
+    options = struct()
+    _check(getattr(library(), init)(ctypes.byref(options), ctypes.sizeof(struct)))
+    for name, value in values.items():
+        if value is None:
+            continue
+        try:
+            setattr(options, name, value)
+        except TypeError:
+            raise ArgumentError(native.INVALID_ARGUMENT, f"{name} is {value!r}") from None
+        if isinstance(value, int) and getattr(options, name) != value:
+            raise ArgumentError(native.INVALID_ARGUMENT, f"{name} is {value}, expected a small non-negative number")
+    return options
+
+
+class Sketch(_Handle):
+    """Strokes and depth samples on a canvas, and the view."""
+
+    _free = "s2pq_sketch_free"
+
+    def __init__(self, azimuth_deg=45.0, elevation_deg=45.0, y_down=True):
+        pointer = ctypes.c_void_p()
+        _check(library().s2pq_sketch_new(ctypes.byref(pointer)))
+        super().__init__(pointer)
+        self.set_view(azimuth_deg, elevation_deg, y_down)
+
+    @classmethod
+    def from_json(cls, text):
+        """A sketch from JSON text, the form of the files in examples/sketches."""
+        data = text.encode() if isinstance(text, str) else bytes(text)
+        pointer = ctypes.c_void_p()
+        _check(library().s2pq_sketch_from_json(data, len(data), ctypes.byref(pointer)))
+        sketch = cls.__new__(cls)
+        _Handle.__init__(sketch, pointer)
+        return sketch
+
+    @classmethod
+    def read(cls, path):
+        """A sketch from a JSON file."""
+        return cls.from_json(Path(path).read_bytes())
+
+    def set_view(self, azimuth_deg=45.0, elevation_deg=45.0, y_down=True):
+        """Direction towards the viewer: azimuth from world x towards y, elevation above the horizon."""
+        _check(library().s2pq_sketch_set_view_angles(self._pointer, azimuth_deg, elevation_deg, int(bool(y_down))))
+
+    def set_view_axes(self, right, up, toward, y_down=True):
+        """View by three orthonormal axes in the world: canvas right, canvas up, towards the viewer."""
+        _axes, pointer = _doubles([right, up, toward], 3, "view axes")
+        _check(library().s2pq_sketch_set_view_axes(self._pointer, pointer, int(bool(y_down))))
+
+    def add_stroke(self, kind, points):
+        """Adds a stroke; `kind` is a key of STROKE_KINDS, `points` rows of x, y on the canvas."""
+        array, pointer = _doubles(points, 2, "points")
+        kind = _number(STROKE_KINDS, kind, "kind")
+        _check(library().s2pq_sketch_add_stroke(self._pointer, kind, pointer, len(array)))
+
+    def add_depth_sample(self, layer, x, y, depth):
+        """Adds a known depth on a layer, a key of LAYERS; depth grows away from the viewer."""
+        layer = _number(LAYERS, layer, "layer")
+        _check(library().s2pq_sketch_add_depth_sample(self._pointer, layer, x, y, depth))
+
+    def clear(self):
+        """Removes strokes and depth samples; the view stays."""
+        _check(library().s2pq_sketch_clear(self._pointer))
+
+    @property
+    def counts(self):
+        """Number of strokes and of depth samples."""
+        strokes, samples = ctypes.c_size_t(), ctypes.c_size_t()
+        _check(library().s2pq_sketch_counts(self._pointer, ctypes.byref(strokes), ctypes.byref(samples)))
+        return strokes.value, samples.value
+
+
+class Patch:
+    """One NURBS patch of a surface."""
+
+    def __init__(self, surface, index):
+        self._surface, self._index = surface, index
+        self._nurbs = surface._struct("s2pq_surface_nurbs", native.Nurbs, index)
+
+    @property
+    def degrees(self):
+        """Degree in u and in v."""
+        return self._nurbs.degree_u, self._nurbs.degree_v
+
+    @property
+    def control_points(self):
+        """(count_u, count_v, 3), world frame."""
+        n = self._nurbs
+        return self._surface._view(n.control_points, n.count_u * n.count_v, 3).reshape(n.count_u, n.count_v, 3)
+
+    @property
+    def weights(self):
+        """(count_u, count_v), or None if all are 1."""
+        n = self._nurbs
+        if not n.weights:
+            return None
+        return self._surface._view(n.weights, n.count_u * n.count_v).reshape(n.count_u, n.count_v)
+
+    @property
+    def knots(self):
+        """Knots in u and in v, count + degree + 1 each."""
+        n = self._nurbs
+        return self._surface._view(n.knots_u, n.knot_count_u), self._surface._view(n.knots_v, n.knot_count_v)
+
+    @property
+    def rhino_knots(self):
+        """Knots in u and in v as Rhino and openNURBS store them, count + degree - 1 each."""
+        u, v = self.knots
+        return u[1:-1], v[1:-1]
+
+    def evaluate(self, uv):
+        """Points and unit normals at rows of (u, v)."""
+        parameters, pointer = _doubles(uv, 2, "uv")
+        points, normals = np.empty((len(parameters), 3)), np.empty((len(parameters), 3))
+        out = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (points, normals)]
+        _check(
+            library().s2pq_surface_evaluate(self._surface._pointer, self._index, pointer, len(parameters), *out)
+        )
+        return points, normals
+
+    @property
+    def diagnostics(self):
+        """How well the patch obeys the sketch."""
+        struct = self._surface._struct("s2pq_surface_diagnostics", native.SurfaceDiagnostics, self._index)
+        return _measures(struct)
+
+
+class Surface(_Handle):
+    """One or more NURBS patches; made by Session.surface or Surface.from_nurbs."""
+
+    _free = "s2pq_surface_free"
+
+    @classmethod
+    def from_nurbs(cls, degrees, knots, control_points, weights=None):
+        """A host's own patch: control_points (count_u, count_v, 3); knots in u and v in either convention."""
+        net = np.ascontiguousarray(control_points, dtype=np.float64)
+        if net.ndim != 3 or net.shape[2] != 3:
+            raise ArgumentError(native.INVALID_ARGUMENT, f"control_points has shape {net.shape}, expected (u, v, 3)")
+        arrays = [np.ascontiguousarray(k, dtype=np.float64).ravel() for k in knots] + [net]
+        if weights is not None:
+            arrays.append(np.ascontiguousarray(weights, dtype=np.float64))
+            if arrays[3].shape != net.shape[:2]:
+                raise ArgumentError(native.INVALID_ARGUMENT, f"weights has shape {arrays[3].shape}")
+        pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in arrays]
+        nurbs = native.Nurbs(
+            struct_size=ctypes.sizeof(native.Nurbs),
+            degree_u=degrees[0],
+            degree_v=degrees[1],
+            count_u=net.shape[0],
+            count_v=net.shape[1],
+            knot_count_u=len(arrays[0]),
+            knot_count_v=len(arrays[1]),
+            knots_u=pointers[0],
+            knots_v=pointers[1],
+            control_points=pointers[2],
+        )
+        if weights is not None:
+            nurbs.weights = pointers[3]
+        pointer = ctypes.c_void_p()
+        _check(library().s2pq_surface_from_nurbs(ctypes.byref(nurbs), ctypes.byref(pointer)))
+        return cls(pointer)
+
+    @property
+    def patches(self):
+        """The patches."""
+        count = ctypes.c_size_t()
+        _check(library().s2pq_surface_patch_count(self._pointer, ctypes.byref(count)))
+        return [Patch(self, index) for index in range(count.value)]
+
+    @property
+    def unused_strokes(self):
+        """Strokes that played no part, by their place in the sketch."""
+        return self._array("s2pq_surface_unused_strokes", ctypes.c_uint32)
+
+    @property
+    def report(self):
+        """Measures and times."""
+        return json.loads(self._string("s2pq_surface_report_json"))
+
+
+class Field(_Handle):
+    """A conjugate pair of directions on every triangle of a surface; made by Session.field."""
+
+    _free = "s2pq_field_free"
+
+    @property
+    def vertices(self):
+        """(V, 3)"""
+        return self._array("s2pq_field_vertices", ctypes.c_double, 3)
+
+    @property
+    def triangles(self):
+        """(T, 3)"""
+        return self._array("s2pq_field_triangles", ctypes.c_uint32, 3)
+
+    @property
+    def directions(self):
+        """(T, 2, 3): u and v of each triangle, unit."""
+        return self._array("s2pq_field_directions", ctypes.c_double, 6).reshape(-1, 2, 3)
+
+    @property
+    def singularities(self):
+        """Singular vertices and their indices in quarter turns."""
+        vertices, indices = ctypes.POINTER(ctypes.c_uint32)(), ctypes.POINTER(ctypes.c_int32)()
+        count = ctypes.c_size_t()
+        _check(
+            library().s2pq_field_singularities(
+                self._pointer, ctypes.byref(vertices), ctypes.byref(indices), ctypes.byref(count)
+            )
+        )
+        return self._view(vertices, count.value), self._view(indices, count.value)
+
+    @property
+    def diagnostics(self):
+        """How good the field is."""
+        return _measures(self._struct("s2pq_field_diagnostics", native.FieldDiagnostics))
+
+    @property
+    def report(self):
+        """Measures and times so far."""
+        return json.loads(self._string("s2pq_field_report_json"))
+
+
+class Mesh(_Handle):
+    """Planar panels; made by Session.mesh."""
+
+    _free = "s2pq_mesh_free"
+
+    @property
+    def vertices(self):
+        """(V, 3)"""
+        return self._array("s2pq_mesh_vertices", ctypes.c_double, 3)
+
+    @property
+    def starts_indices(self):
+        """Face f has the vertices indices[starts[f]:starts[f + 1]]."""
+        starts, indices = ctypes.POINTER(ctypes.c_uint32)(), ctypes.POINTER(ctypes.c_uint32)()
+        count = ctypes.c_size_t()
+        _check(
+            library().s2pq_mesh_faces(
+                self._pointer, ctypes.byref(starts), ctypes.byref(indices), ctypes.byref(count)
+            )
+        )
+        starts = self._view(starts, count.value + 1)
+        return starts, self._view(indices, int(starts[-1]))
+
+    @property
+    def faces(self):
+        """List of faces, each an array of vertex indices, counter-clockwise seen from the surface's front."""
+        starts, indices = self.starts_indices
+        return np.split(indices, starts[1:-1])
+
+    @property
+    def planarity(self):
+        """(F,) distance of the diagonals over the mean edge length."""
+        return self._array("s2pq_mesh_planarity", ctypes.c_double)
+
+    @property
+    def deviation(self):
+        """(V,) distance from the surface."""
+        return self._array("s2pq_mesh_deviation", ctypes.c_double)
+
+    @property
+    def on_border(self):
+        """(V,) whether a vertex lies on the mesh's border."""
+        return self._array("s2pq_mesh_border", ctypes.c_uint8).view(np.bool_)
+
+    @property
+    def irregular_vertices(self):
+        """Inner vertices where another number than four faces meets."""
+        return self._array("s2pq_mesh_irregular_vertices", ctypes.c_uint32)
+
+    @property
+    def measures(self):
+        """Numbers of faces and quads, worst and mean planarity, deviation, edge length, time."""
+        return _measures(self._struct("s2pq_mesh_report", native.MeshReport))
+
+    @property
+    def report(self):
+        """Measures and times of all stages."""
+        return json.loads(self._string("s2pq_mesh_report_json"))
+
+    @property
+    def obj(self):
+        """The mesh as OBJ text."""
+        return self._string("s2pq_mesh_obj")
+
+
+class Session(_Handle):
+    """Loaded networks, threads, progress and cancel."""
+
+    _free = "s2pq_session_free"
+
+    def __init__(self, backend="auto", runtime_path=None, models_folder=None, threads=None, progress=None):
+        options = _options(
+            native.SessionOptions,
+            "s2pq_session_options_init",
+            backend=_number(BACKENDS, backend, "backend"),
+            threads=threads,
+            runtime_path=str(runtime_path).encode() if runtime_path else None,
+            models_folder=str(models_folder).encode() if models_folder else None,
+        )
+        pointer = ctypes.c_void_p()
+        _check(library().s2pq_session_new(ctypes.byref(options), ctypes.byref(pointer)))
+        super().__init__(pointer)
+        self._callback = None
+        self._raised = None
+        self.set_progress(progress)
+
+    def set_progress(self, progress):
+        """Calls `progress(stage, fraction)` during later calls, on the thread that calls; None ends it.
+
+        An exception that it raises cancels the call, which raises it then.
+        """
+
+        def call(_, stage, fraction):
+            try:
+                progress(stage.decode(), fraction)
+            except BaseException as raised:
+                self._raised = raised
+                library().s2pq_cancel(self._pointer)
+
+        callback = native.Progress(call) if progress else None
+        pointer = ctypes.cast(callback, ctypes.c_void_p) if callback else None
+        _check(library().s2pq_session_set_progress(self._pointer, pointer, None))
+        self._callback = callback
+
+    def cancel(self):
+        """Stops the running call, or the next one, from any thread."""
+        _check(library().s2pq_cancel(self._pointer))
+
+    @property
+    def backend(self):
+        """What runs the networks: name, version, path."""
+        text = ctypes.c_char_p()
+        _check(library().s2pq_session_backend(self._pointer, ctypes.byref(text)))
+        return text.value.decode()
+
+    def _call(self, result, export, *arguments):
+        pointer = ctypes.c_void_p()
+        try:
+            _check(getattr(library(), export)(self._pointer, *arguments, ctypes.byref(pointer)))
+        except Cancelled:
+            raised, self._raised = self._raised, None
+            if raised is not None:
+                raise raised from None
+            raise
+        return result(pointer)
+
+    def surface(self, sketch, corners=None, fairness=None):
+        """Sketch to surface; `corners`: four (x, y) on the canvas, near the outline; `fairness`: 1 is balanced."""
+        array, pointer = (None, None) if corners is None else _doubles(corners, 2, "corners")
+        if array is not None and len(array) != 4:
+            raise ArgumentError(native.INVALID_ARGUMENT, f"{len(array)} corners, expected 4")
+        options = _options(native.SurfaceOptions, "s2pq_surface_options_init", corners=pointer, fairness=fairness)
+        return self._call(Surface, "sketch_to_surface", sketch._pointer, ctypes.byref(options))
+
+    def field(self, surface, sketch=None, use_network=None, align_border=None, resolution=None, crossing_floor_deg=None):
+        """Surface, and the sketch with its feature lines, to a conjugate direction field."""
+        options = _options(
+            native.FieldOptions,
+            "s2pq_field_options_init",
+            use_network=None if use_network is None else int(bool(use_network)),
+            align_border=None if align_border is None else int(bool(align_border)),
+            resolution=resolution,
+            crossing_floor_deg=crossing_floor_deg,
+        )
+        sketch = sketch._pointer if sketch is not None else None
+        return self._call(Field, "sketch_to_cdf", sketch, surface._pointer, ctypes.byref(options))
+
+    def mesh(self, field, faces=None, edge_length=None, border="trimmed", planarity=None, strict=None):
+        """Field to panels; `border` is a key of BORDERS."""
+        options = _options(
+            native.MeshOptions,
+            "s2pq_mesh_options_init",
+            border=_number(BORDERS, border, "border"),
+            faces=faces,
+            edge_length=edge_length,
+            planarity=planarity,
+            strict=None if strict is None else int(bool(strict)),
+        )
+        return self._call(Mesh, "extract_pq_mesh", field._pointer, ctypes.byref(options))
