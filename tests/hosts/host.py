@@ -1,0 +1,189 @@
+"""What a Python host may do to the library, right and wrong.
+
+usage: host.py SKETCH.json
+"""
+
+import gc
+import re
+import sys
+import threading
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "bindings" / "python"))
+
+import numpy as np  # noqa: E402
+
+import native  # noqa: E402
+import sketch2pq as s  # noqa: E402
+
+SQUARE = np.array(
+    [(40, 60), (90, 60), (140, 60), (200, 60), (200, 100), (200, 150), (200, 200), (150, 200), (100, 200), (40, 200)]
+    + [(40, 150), (40, 100), (40, 60)],
+    dtype=float,
+)
+
+
+def raises(error_type, body, *arguments, **named):
+    """The error that `body` raises, which must be of this type and say something."""
+    try:
+        body(*arguments, **named)
+    except error_type as error:
+        assert len(error.message) > 10, error
+        return error
+    raise AssertionError(f"{body} raised no {error_type.__name__}")
+
+
+def drawn(*strokes, kind="visible_boundary"):
+    sketch = s.Sketch()
+    for stroke in strokes:
+        sketch.add_stroke(kind, stroke)
+    return sketch
+
+
+def mirrors_the_header():
+    """Every function of the header is declared, with as many arguments."""
+    header = (ROOT / "include" / "sketch2pq.h").read_text()
+    header = re.sub(r"//[^\n]*", "", header)
+    pattern = r"\b(s2pq_[a-z0-9_]+|sketch_to_surface|sketch_to_cdf|extract_pq_mesh)\(([^)]*)\)"
+    declared = {name: 0 if a.strip() == "void" else a.count(",") + 1 for name, a in re.findall(pattern, header)}
+    mirrored = {name: len(arguments) for name, (_, arguments) in native.SIGNATURES.items()}
+    assert declared == mirrored, {k for k in declared.keys() ^ mirrored.keys()} or (declared, mirrored)
+    for struct in native.LAYOUT:
+        body = re.search(rf"typedef struct S2pq{struct.__name__} {{(.*?)}}", header, re.S).group(1)
+        fields = re.findall(r"(\w+);", body)
+        assert fields == [name for name, _ in struct._fields_], (struct, fields)
+    version = int(re.search(r"S2PQ_ABI_VERSION (\d+)u", header).group(1))
+    assert version == native.ABI_VERSION
+
+
+def the_pipeline(session, path):
+    sketch = s.Sketch.read(path)
+    surface = session.surface(sketch)
+    patch = surface.patches[0]
+    assert patch.degrees == (3, 3) and patch.control_points.shape == (30, 30, 3) and patch.weights is None
+    assert len(patch.knots[0]) == 34 and len(patch.rhino_knots[1]) == 32
+    points, normals = patch.evaluate([(0, 0), (0.3, 0.8), (1, 1)])
+    assert np.allclose(points[0], patch.control_points[0, 0]) and np.allclose(np.linalg.norm(normals, axis=1), 1)
+    assert patch.diagnostics["reprojection_max_px"] > 0
+    field = session.field(surface, sketch)
+    assert field.directions.shape == (len(field.triangles), 2, 3)
+    assert np.allclose(np.linalg.norm(field.directions, axis=2), 1)
+    assert len(field.singularities[0]) == field.diagnostics["singularities"]
+    mesh = session.mesh(field, faces=200)
+    assert 150 < len(mesh.faces) < 260 and len(mesh.planarity) == len(mesh.faces)
+    assert np.concatenate(mesh.faces).max() == len(mesh.vertices) - 1 and mesh.on_border.any()
+    assert mesh.planarity.max() == mesh.measures["planarity_max"] <= 1e-3, mesh.measures
+    assert mesh.report["faces"] == len(mesh.faces) and mesh.obj.count("\nf ") >= len(mesh.faces) - 1
+    # Views keep what they look into.
+    vertices = mesh.vertices
+    kept = vertices.copy()
+    del mesh, field, surface, patch
+    gc.collect()
+    assert (vertices == kept).all() and not vertices.flags.writeable
+
+
+def moves_and_scales_exactly(session):
+    # Powers of two are exact in floating point, so is the answer.
+    base = session.surface(drawn(SQUARE)).patches[0].control_points
+    scaled = session.surface(drawn(SQUARE * 4)).patches[0].control_points
+    assert np.allclose(scaled, base * 4, rtol=1e-12, atol=1e-9)
+
+
+def broken_sketches(session):
+    open_outline = SQUARE[:9]
+    angle = np.linspace(0, 2 * np.pi, 1_000_000)
+    many = np.stack([128 + 90 * np.cos(angle), 128 + 70 * np.sin(angle)], axis=1)
+    raises(s.SketchError, session.surface, s.Sketch())
+    raises(s.SketchError, session.surface, drawn([(3, 4)]))
+    raises(s.SketchError, drawn, [(40, 60), (float("nan"), 60), (200, 200)])
+    where = raises(s.SketchError, session.surface, drawn(open_outline))
+    assert re.search(r"\(\d+\.\d+, \d+\.\d+\)", where.message), where.message
+    try:
+        session.surface(drawn([(40, 60), (200, 200), (200, 60), (40, 200), (40, 60)]))
+    except s.SketchError as error:
+        assert len(error.message) > 10
+    raises(s.SketchError, session.surface, drawn(SQUARE, kind="feature"))
+    assert len(session.surface(drawn(many)).patches) == 1
+    for scale in (1e12, 1e-12):
+        points = session.surface(drawn(SQUARE * scale)).patches[0].control_points
+        assert np.isfinite(points).all() and np.ptp(points) > scale
+    for scale in (1e300, 1e-300):
+        try:
+            assert np.isfinite(session.surface(drawn(SQUARE * scale)).patches[0].control_points).all()
+        except (s.SketchError, s.ArgumentError, s.GeometryError) as error:
+            assert len(error.message) > 10
+    raises(s.ArgumentError, drawn, SQUARE, kind="scribble")
+    assert len(session.surface(drawn(SQUARE, SQUARE)).patches) == 1
+    raises(s.ArgumentError, drawn, [(1, 2, 3)] * 3 + [(1,)])
+    for text in ("", "{", "[]", '{"strokes": 3}', '{"strokes": [{"kind": "scribble", "points": []}]}', "\0\1"):
+        raises(s.ArgumentError, s.Sketch.from_json, text)
+
+
+def own_surface(session):
+    h = np.sqrt(0.5)
+    net = np.array([[(1, 0, 0), (1, 0, 2)], [(1, 1, 0), (1, 1, 2)], [(0, 1, 0), (0, 1, 2)]], dtype=float)
+    weights = [[1, 1], [h, h], [1, 1]]
+    for knots in (([0, 0, 0, 1, 1, 1], [0, 0, 1, 1]), ([0, 0, 1, 1], [0, 1])):
+        surface = s.Surface.from_nurbs((2, 1), knots, net, weights)
+        points, _ = surface.patches[0].evaluate(np.random.default_rng(1).random((20, 2)))
+        assert np.allclose(np.hypot(points[:, 0], points[:, 1]), 1)
+        assert len(surface.patches[0].knots[0]) == 6
+    mesh = session.mesh(session.field(surface), faces=100)
+    assert abs(np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]) - 1).max() < 0.05
+    raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1], [0, 1]), net)
+    raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net * np.nan)
+    raises(s.ArgumentError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net[0])
+
+
+def arguments(session):
+    field = session.field(session.surface(drawn(SQUARE)))
+    raises(s.ArgumentError, session.mesh, field, faces=0)
+    raises(s.ArgumentError, session.mesh, field, faces=-1)
+    raises(s.ArgumentError, session.mesh, field, edge_length=float("nan"))
+    raises(s.ArgumentError, session.mesh, field, edge_length=1e-9)
+    raises(s.ArgumentError, session.mesh, field, border="sawtooth")
+    raises(s.ArgumentError, session.mesh, field, planarity=0.0)
+    raises(s.ArgumentError, session.field, session.surface(drawn(SQUARE)), resolution=3)
+    raises(s.ArgumentError, s.Session, backend="abacus")
+    raises(s.Unavailable, s.Session, backend="ort", runtime_path="/nonexistent")
+    raises(s.Unavailable, s.Session, models_folder="/nonexistent")
+
+
+def progress_and_cancel(session):
+    seen = []
+    session.set_progress(lambda stage, fraction: seen.append((stage, fraction, threading.get_ident())))
+    session.surface(drawn(SQUARE))
+    # A short stage may pass between two reports.
+    assert {"infer", "refine"} <= {stage for stage, _, _ in seen}, seen
+    assert {thread for _, _, thread in seen} == {threading.get_ident()}
+
+    def stop(stage, fraction):
+        raise KeyError(stage)
+
+    session.set_progress(stop)
+    try:
+        session.surface(drawn(SQUARE))
+        raise AssertionError("the exception got lost")
+    except KeyError:
+        pass
+    session.set_progress(None)
+    thread = threading.Thread(target=session.cancel)
+    thread.start()
+    thread.join()
+    raises(s.Cancelled, session.surface, drawn(SQUARE))
+    session.surface(drawn(SQUARE))
+
+
+def main():
+    mirrors_the_header()
+    session = s.Session(backend="embedded")
+    assert "rten" in session.backend
+    for test in (broken_sketches, moves_and_scales_exactly, own_surface, arguments, progress_and_cancel):
+        test(session)
+    the_pipeline(session, sys.argv[1])
+    print("host.py: all checks passed")
+
+
+if __name__ == "__main__":
+    main()
