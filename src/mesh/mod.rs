@@ -18,6 +18,6 @@ pub use extract::{
 pub use obj::{read_obj, write_obj};
 pub use panel_mesh::PanelMesh;
 pub use planarity::{best_plane, deviation, edge_lengths, edges, mean_edge_length, planarity};
-pub use planarize::{PlanarizeInput, PlanarizeOptions, Planarized, border_vertices, grid_polylines, planarize};
+pub use planarize::{PlanarizeInput, PlanarizeOptions, Planarized, border_vertices, planarize};
 pub use reference::{Foot, MeshReference, Reference};
 pub use topology::{Topology, check};

@@ -19,7 +19,7 @@ pub struct PlanarizeInput<'a> {
     pub border: &'a [u32],
     /// Vertices that do not move at all.
     pub pins: &'a [u32],
-    /// Neighbours (previous, vertex, next) along polylines that stay fair; see [`grid_polylines`].
+    /// Neighbours (previous, vertex, next) along polylines that stay fair; see [`super::grid_triples`].
     pub polylines: &'a [[u32; 3]],
 }
 
@@ -55,7 +55,7 @@ impl Default for PlanarizeOptions {
             rounds: 40,
             closeness: 1.0,
             anchor: 1e-2,
-            border: 1e2,
+            border: 1e3,
             stretch: 5e-2,
             fairness: 0.5,
         }
@@ -156,50 +156,6 @@ pub fn border_vertices(mesh: &PanelMesh) -> Vec<u32> {
     vertices.sort_unstable();
     vertices.dedup();
     vertices
-}
-
-/// The triples (previous, vertex, next) along the grid lines of a quad mesh: for each vertex between four quads the two
-/// pairs of edges that share no face, and the border pair for a border vertex between two quads. Ascending by vertex.
-pub fn grid_polylines(mesh: &PanelMesh) -> Vec<[u32; 3]> {
-    // For each vertex the corners at it: (face, next vertex, previous vertex).
-    let mut corners: Vec<(u32, u32, u32, usize)> = Vec::with_capacity(mesh.indices.len());
-    for face in mesh.faces() {
-        let count = face.len();
-        for k in 0..count {
-            corners.push((face[k], face[(k + 1) % count], face[(k + count - 1) % count], count));
-        }
-    }
-    corners.sort_unstable();
-    let mut triples = vec![];
-    for group in corners.chunk_by(|a, b| a.0 == b.0) {
-        if group.iter().any(|c| c.3 != 4) {
-            continue;
-        }
-        let vertex = group[0].0;
-        // The corner that starts with the edge with which `previous` ends.
-        let follow = |edge: u32| group.iter().find(|c| c.1 == edge).map(|c| c.2);
-        match group.len() {
-            2 => {
-                let first = group.iter().find(|c| group.iter().all(|d| d.2 != c.1)).map(|c| c.1);
-                if let Some(first) = first
-                    && let Some(last) = follow(first).and_then(follow)
-                {
-                    triples.push([first, vertex, last]);
-                }
-            }
-            4 => {
-                let ring = [0, 1, 2, 3].map(|turns| (0..turns).try_fold(group[0].1, |edge, _| follow(edge)));
-                if let [Some(a), Some(b), Some(c), Some(d)] = ring
-                    && follow(d) == Some(a)
-                {
-                    triples.push([a, vertex, c]);
-                    triples.push([b, vertex, d]);
-                }
-            }
-            _ => {}
-        }
-    }
-    triples
 }
 
 /// Sqrt 2 times the largest distance of a point from the centroid: the side for a square, whichever way it is turned.
@@ -701,6 +657,7 @@ impl<'a> State<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::grid_triples;
     use nalgebra::{Rotation3, Translation3};
 
     /// A grid of (nu + 1) x (nv + 1) vertices over [0, 1]^2.
@@ -743,7 +700,7 @@ mod tests {
     }
 
     fn run(mesh: &PanelMesh, reference: Option<&dyn Reference>) -> Planarized {
-        let (border, polylines) = (border_vertices(mesh), grid_polylines(mesh));
+        let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
         let input = PlanarizeInput { mesh, reference, border: &border, pins: &[], polylines: &polylines };
         planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap()
     }
@@ -824,7 +781,7 @@ mod tests {
     #[test]
     fn newton_converges_quadratically() {
         let mesh = skew_sphere(12);
-        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
         let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
         let options = PlanarizeOptions::default();
         let reference = sphere();
@@ -867,7 +824,7 @@ mod tests {
     #[test]
     fn soft_gradient_matches_finite_differences() {
         let mesh = grid(4, 3, translational);
-        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
         let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[7], polylines: &polylines };
         let options = PlanarizeOptions::default();
         let reference = MeshReference::from_panels(&mesh);
@@ -949,7 +906,7 @@ mod tests {
     #[test]
     fn pins_hold_exactly() {
         let mesh = skew_sphere(8);
-        let (border, polylines) = (border_vertices(&mesh), grid_polylines(&mesh));
+        let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
         let pins = [0, 8, 40, 72, 80];
         let reference = sphere();
         let input = PlanarizeInput {
@@ -1022,7 +979,7 @@ mod tests {
     fn degenerate_input_gives_an_error_or_a_finite_mesh() {
         let options = PlanarizeOptions::default();
         let try_on = |mesh: &PanelMesh| {
-            let (border, polylines) = (border_vertices(mesh), grid_polylines(mesh));
+            let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
             let input = PlanarizeInput { mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
             planarize(&input, &options, &Control::default())
         };
@@ -1052,18 +1009,6 @@ mod tests {
         assert_eq!(planarize(&input, &options, &control).unwrap_err(), Error::Cancelled);
         let input = PlanarizeInput { pins: &[99], ..input };
         assert!(matches!(planarize(&input, &options, &Control::default()), Err(Error::Degenerate { .. })));
-    }
-
-    #[test]
-    fn grid_lines_are_found() {
-        let triples = grid_polylines(&grid(4, 3, translational));
-        // 3 x 2 inner vertices with two lines each, 2 (3 + 2) border vertices with one.
-        assert_eq!(triples.len(), 12 + 10);
-        let straight = grid(4, 3, |s, t| [s, t, 0.0]);
-        for [a, b, c] in grid_polylines(&straight) {
-            let [a, b, c] = [a, b, c].map(|v| straight.vertices[v as usize]);
-            assert!(((b - a) - (c - b)).norm() < 1e-12);
-        }
     }
 
     /// A heightfield z = f(x, y) trimmed by the circle of radius `radius`, cells of a grid turned by `degrees`, cut off at the circle.
@@ -1162,7 +1107,7 @@ mod tests {
             let (mesh, border) = trimmed(f, 4.0, 0.45, degrees);
             assert!(mesh.faces().any(|f| f.len() == 5) && mesh.faces().any(|f| f.len() == 3));
             let reference = Trimmed(f, 4.0);
-            let polylines = grid_polylines(&mesh);
+            let polylines = grid_triples(&mesh, |_| false);
             let input = PlanarizeInput {
                 mesh: &mesh,
                 reference: Some(&reference),

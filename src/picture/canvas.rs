@@ -317,13 +317,15 @@ pub(crate) fn mix(a: [u8; 3], b: [u8; 3], share: f64) -> [u8; 3] {
 
 /// Light on a surface of colour `color`: key light from the upper left, soft light from the viewer, a faint highlight.
 ///
-/// `normal` in the camera frame, facing the viewer, not necessarily of unit length.
-pub(crate) fn shaded(color: [u8; 3], normal: &Vector3<f64>, gloss: f64) -> [u8; 3] {
+/// `normal` in the camera frame, either side, not necessarily of unit length; `relief` in [0, 1] is how dark the side away from the
+/// light gets.
+pub(crate) fn shaded(color: [u8; 3], normal: &Vector3<f64>, relief: f64, gloss: f64) -> [u8; 3] {
     let n = normal.try_normalize(0.0).unwrap_or_else(Vector3::z);
     let n = if n.z < 0.0 { -n } else { n };
     let key = Vector3::new(-0.45, 0.65, 0.62).normalize();
     let half = (key + Vector3::z()).normalize();
-    let diffuse = 0.64 + 0.28 * n.dot(&key).max(0.0) + 0.12 * n.z;
+    let light = 0.72 * n.dot(&key).max(0.0) + 0.28 * n.z;
+    let diffuse = 1.04 - relief * (1.0 - light);
     let highlight = gloss * n.dot(&half).max(0.0).powi(40);
     color.map(|c| (f64::from(c) * diffuse + 255.0 * highlight).clamp(0.0, 255.0).round() as u8)
 }

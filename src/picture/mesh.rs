@@ -62,7 +62,7 @@ fn draw_panels(buffer: &mut DepthBuffer, part: &MeshPart, view: &View) {
         let points: Vec<Point3<f64>> = face.iter().map(|&v| camera[v as usize]).collect();
         let normal = area_vector(&points);
         let base = planarity_color(part.planarity.get(f).copied().unwrap_or(0.0));
-        let color = shaded(if normal.z >= 0.0 { base } else { mix(base, BACK, 0.6) }, &normal, 0.0);
+        let color = shaded(if normal.z >= 0.0 { base } else { mix(base, BACK, 0.6) }, &normal, 0.55, 0.0);
         let places: Vec<[f64; 2]> = points.iter().map(|p| buffer.place(p)).collect();
         let sides: Vec<_> = (0..face.len())
             .map(|k| {

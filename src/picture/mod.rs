@@ -3,6 +3,8 @@
 mod canvas;
 mod lettering;
 mod mesh;
+#[cfg(test)]
+mod panel_tests;
 mod scene;
 mod sketch;
 mod surface;

@@ -38,6 +38,9 @@ pub struct Scene {
 const TEXT: [u8; 3] = [52, 58, 68];
 const CAPTION_HEIGHT: usize = 44;
 const MARGIN: f64 = 26.0;
+/// Height of the notes' capitals and distance of their lines, pixels.
+const NOTE_SIZE: f64 = 12.0;
+const NOTE_STEP: f64 = 27.0;
 
 /// A view from the other side: turned by 130 degrees about the vertical, a little lower.
 pub fn other_view(view: &View) -> View {
@@ -69,7 +72,9 @@ pub fn scene_picture(scene: &Scene, width: usize) -> Picture {
     let lower = fitted(&geometry(&back), column);
 
     let row = upper.size[1] + CAPTION_HEIGHT;
-    let mut whole = Picture::new(3 * column, row + lower.size[1].max(190) + CAPTION_HEIGHT);
+    let lines: usize = scene.notes.iter().map(|note| wrapped(note, column as f64 - 2.5 * MARGIN).len()).sum();
+    let notes_height = 110 + (lines as f64 * NOTE_STEP) as usize;
+    let mut whole = Picture::new(3 * column, row + lower.size[1].max(notes_height) + CAPTION_HEIGHT);
     if let Some(sketch) = &scene.sketch {
         whole.paste(&draw_sketch(sketch, &upper), 0, CAPTION_HEIGHT);
     }
@@ -82,20 +87,37 @@ pub fn scene_picture(scene: &Scene, width: usize) -> Picture {
             let x = (place * column) as f64 + 0.5 * (column as f64 - text_width(text, 15.0));
             draw_text(brush, text, [x, (y + 32) as f64], 15.0, TEXT);
         };
-        caption("Sketch", 0, 0);
+        if scene.sketch.is_some() {
+            caption("Sketch", 0, 0);
+        }
         caption("Surface", 1, 0);
         caption("Panels", 2, 0);
         caption("from the other side", 1, row);
         caption("from the other side", 2, row);
         let mut y = (row + CAPTION_HEIGHT) as f64 + 24.0;
-        for note in &scene.notes {
-            draw_text(brush, note, [2.0 * MARGIN, y], 12.0, TEXT);
-            y += 27.0;
+        for note in scene.notes.iter().flat_map(|note| wrapped(note, column as f64 - 2.5 * MARGIN)) {
+            draw_text(brush, &note, [2.0 * MARGIN, y], NOTE_SIZE, TEXT);
+            y += NOTE_STEP;
         }
-        draw_text(brush, "Planarity of panels", [2.0 * MARGIN, y + 18.0], 12.0, TEXT);
+        draw_text(brush, "Planarity of panels", [2.0 * MARGIN, y + 18.0], NOTE_SIZE, TEXT);
         draw_legend(brush, [2.0 * MARGIN, y + 32.0], (column as f64 - 4.0 * MARGIN).clamp(120.0, 320.0));
     });
     whole
+}
+
+/// The note broken at blanks into lines of at most `room` pixels, as far as its words allow.
+fn wrapped(note: &str, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = vec![];
+    for word in note.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if text_width(&format!("{line} {word}"), NOTE_SIZE) <= room => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_string()),
+        }
+    }
+    lines
 }
 
 /// A frame of the given width around the points, its height between half and one and a quarter of the width.

@@ -24,7 +24,7 @@ pub fn surface_picture(surfaces: &[&SurfaceMesh], view: &View, frame: &Frame) ->
             for triangle in &surface.triangles {
                 let triangle = triangle.map(|k| corners[k as usize]);
                 buffer.triangle(&triangle, layer, behind, |fragment| {
-                    shaded(if fragment.normal.z >= 0.0 { FRONT } else { BACK }, &fragment.normal, 0.16)
+                    shaded(if fragment.normal.z >= 0.0 { FRONT } else { BACK }, &fragment.normal, 0.42, 0.16)
                 });
             }
         }
