@@ -3,11 +3,14 @@
 mod conjugate;
 mod conjugate_field;
 mod integrate;
+mod lift;
 mod matching;
 mod polyvector;
 mod seams;
 mod smooth;
 mod system;
+#[cfg(test)]
+mod test_picture;
 #[cfg(test)]
 mod test_surfaces;
 mod topology;
@@ -17,6 +20,9 @@ pub use conjugate::{SecondForm, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 pub use integrate::{
     Density, Integrator, MAP_UNIT, MapDiagnostics, MapOptions, SeamlessMap, SideFit, Transition, integrate,
+};
+pub use lift::{
+    CanvasField, CanvasView, constraints_along, constraints_from_lines, constraints_from_parameters, guess_from_canvas,
 };
 pub use matching::{Cross, match_field, matching};
 pub use polyvector::PolyVector;

@@ -890,4 +890,27 @@ mod tests {
             });
         }
     }
+
+    #[test]
+    #[ignore = "draws to the file named by FIELD_PICTURE"]
+    fn draw_fields() {
+        use crate::field::test_picture::{SIDE, draw};
+        let file = std::env::var("FIELD_PICTURE").unwrap();
+        let mut sheet = tiny_skia::Pixmap::new(4 * SIDE as u32, 2 * SIDE as u32).unwrap();
+        sheet.fill(tiny_skia::Color::WHITE);
+        for seed in 0..8u64 {
+            let mesh = SurfaceMesh::new(&wavy(seed), [40, 40]).unwrap();
+            let mut constraints = vec![];
+            if seed >= 4 {
+                for i in 0..20 {
+                    let triangle = 2 * (40 * (8 + i) + 10 + i / 2) as u32;
+                    let direction = Vector3::new(1.0, 0.5, 0.0);
+                    constraints.push(DirectionConstraint { triangle, direction, weight: 20.0 });
+                }
+            }
+            let field = solve(mesh, &constraints);
+            draw(&mut sheet, [(seed % 4) as f32, (seed / 4) as f32], &field, &constraints);
+        }
+        sheet.save_png(file).unwrap();
+    }
 }
