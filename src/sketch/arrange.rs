@@ -164,8 +164,68 @@ enum Target {
 #[derive(Clone, Default)]
 struct Cluster {
     ends: Vec<usize>,
-    hit: Option<(usize, Vec<f64>)>,
-    branches: Branches,
+    /// Curves passing close by, the one that counts first: curve, and arc lengths nearest to the ends.
+    hits: Vec<(usize, Vec<f64>)>,
+}
+
+impl Cluster {
+    fn hit(&self) -> Option<&(usize, Vec<f64>)> {
+        self.hits.first()
+    }
+
+    fn branches(&self, curves: &[Curve]) -> Branches {
+        let mut branches = [0; 3];
+        for &e in &self.ends {
+            branches[kind_index(curves[e / 2].kind)] += 1;
+        }
+        if let Some(&(curve, _)) = self.hit() {
+            branches[kind_index(curves[curve].kind)] += 2;
+        }
+        branches
+    }
+
+    fn is_complete(&self, curves: &[Curve]) -> bool {
+        is_complete(self.branches(curves))
+    }
+
+    /// Adds a passing curve, unless the same stretch of it is known.
+    fn add_hit(&mut self, curve: usize, s: &[f64]) {
+        let same = |h: &&mut (usize, Vec<f64>)| h.0 == curve && (h.1[0] - s[0]).abs() < 3.0 * SNAP_PX;
+        match self.hits.iter_mut().find(same) {
+            Some(hit) => hit.1.extend(s),
+            None => self.hits.push((curve, s.to_vec())),
+        }
+    }
+
+    /// The two together; `None` if different curves pass through them. Ends that overlap lie on each other's lines, so a
+    /// curve that passes only where it ends in this very cluster counts as an end.
+    fn joined(&self, other: &Self, total: &impl Fn(usize) -> f64) -> Option<Self> {
+        let ends: Vec<usize> = self.ends.iter().chain(&other.ends).copied().collect();
+        let passes = |hit: &(usize, Vec<f64>)| {
+            !ends.iter().any(|&e| {
+                let along = if e.is_multiple_of(2) { hit.1[0] } else { total(hit.0) - hit.1[0] };
+                e / 2 == hit.0 && along < 1.5 * SNAP_PX
+            })
+        };
+        let kept = |c: &Self| -> Vec<(usize, Vec<f64>)> { c.hits.iter().filter(|h| passes(h)).cloned().collect() };
+        let (mine, theirs) = (kept(self), kept(other));
+        let near = |a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)| a.0 == b.0 && (a.1[0] - b.1[0]).abs() < 3.0 * SNAP_PX;
+        // The curve that counts for one must at least pass by the other.
+        let first = match (mine.first(), theirs.first()) {
+            (Some(a), Some(_)) if theirs.iter().any(|b| near(a, b)) => mine.clone(),
+            (Some(_), Some(b)) if mine.iter().any(|a| near(a, b)) => theirs.clone(),
+            (Some(_), Some(_)) => return None,
+            (Some(_), None) => mine.clone(),
+            (None, _) => theirs.clone(),
+        };
+        let mut joined = Self { ends, hits: vec![] };
+        for (curve, s) in first.iter().chain(&mine).chain(&theirs) {
+            if !joined.hits.iter().any(|(c, t)| c == curve && t.contains(&s[0])) {
+                joined.add_hit(*curve, s);
+            }
+        }
+        Some(joined)
+    }
 }
 
 /// Where the curves end: their starts (even) and ends (odd).
@@ -180,90 +240,35 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
 
     // Nearest contacts first; a cluster that is complete takes part only if the other one needs it.
     let mut cluster_of: Vec<usize> = (0..ends.len()).collect();
-    let mut clusters: Vec<Cluster> = (0..ends.len())
-        .map(|e| {
-            let mut branches = [0; 3];
-            branches[kind_index(curves[e / 2].kind)] = 1;
-            Cluster { ends: vec![e], hit: None, branches }
-        })
-        .collect();
+    let mut clusters: Vec<Cluster> = (0..ends.len()).map(|e| Cluster { ends: vec![e], hits: vec![] }).collect();
     for contact in &contacts {
         let a = cluster_of[contact.end];
         match contact.target {
             Target::End(other) => {
                 let b = cluster_of[other];
-                if a == b || (is_complete(clusters[a].branches) && is_complete(clusters[b].branches)) {
+                if a == b
+                    || (clusters[a].is_complete(curves) && clusters[b].is_complete(curves))
+                    || joins_both_ends(&clusters[a], &clusters[b], &total)
+                {
                     continue;
                 }
-                if joins_both_ends(&clusters[a], &clusters[b], &total) {
-                    continue;
-                }
-                // Ends that overlap lie on each other's lines; together they are just ends.
-                let mut pair = [clusters[a].clone(), clusters[b].clone()];
-                let both: Vec<usize> = pair.iter().flat_map(|c| c.ends.iter().copied()).collect();
-                for cluster in &mut pair {
-                    let own = std::mem::replace(&mut cluster.ends, both.clone());
-                    forget_own_hit(cluster, curves, &total);
-                    cluster.ends = own;
-                }
-                let compatible = match (&pair[0].hit, &pair[1].hit) {
-                    (Some((p, s)), Some((q, t))) => p == q && (s[0] - t[0]).abs() < 3.0 * SNAP_PX,
-                    _ => true,
-                };
-                if !compatible {
-                    continue;
-                }
-                let [kept, taken] = pair;
-                clusters[a] = kept;
+                let Some(joined) = clusters[a].joined(&clusters[b], &total) else { continue };
                 clusters[b] = Cluster::default();
-                for &e in &taken.ends {
+                for &e in &joined.ends {
                     cluster_of[e] = a;
                 }
-                let kept = &mut clusters[a];
-                kept.ends.extend(taken.ends);
-                for k in 0..3 {
-                    kept.branches[k] += taken.branches[k];
-                }
-                match (&mut kept.hit, taken.hit) {
-                    (Some((curve, s)), Some((_, t))) => {
-                        s.extend(t);
-                        // Both counted the branches of the same curve.
-                        kept.branches[kind_index(curves[*curve].kind)] -= 2;
-                    }
-                    (hit @ None, taken) => *hit = taken,
-                    (Some(_), None) => {}
-                }
+                clusters[a] = joined;
             }
             Target::Interior { curve, s } => {
-                let cluster = &mut clusters[a];
-                match &mut cluster.hit {
-                    Some((hit, others)) if *hit == curve && (others[0] - s).abs() < 3.0 * SNAP_PX => others.push(s),
-                    Some(_) => {}
-                    None if is_complete(cluster.branches) => {}
-                    None => {
-                        cluster.hit = Some((curve, vec![s]));
-                        cluster.branches[kind_index(curves[curve].kind)] += 2;
-                    }
+                // A border line does not end on a contour; the contour ends on the border.
+                if curves[curve].kind != StrokeKind::Contour && !clusters[a].is_complete(curves) {
+                    clusters[a].add_hit(curve, &[s]);
                 }
             }
         }
     }
-
     clusters.retain(|c| !c.ends.is_empty());
     clusters
-}
-
-/// Drops a hit close to the end of a curve whose end is in the cluster anyway.
-fn forget_own_hit(cluster: &mut Cluster, curves: &[Curve], total: &impl Fn(usize) -> f64) {
-    let Some((curve, s)) = &cluster.hit else { return };
-    let near = |e: usize| {
-        let along = if e % 2 == 0 { s[0] } else { total(*curve) - s[0] };
-        e / 2 == *curve && along < 1.5 * SNAP_PX
-    };
-    if cluster.ends.iter().any(|&e| near(e)) {
-        cluster.branches[kind_index(curves[*curve].kind)] -= 2;
-        cluster.hit = None;
-    }
 }
 
 /// Mean position of some of the ends.
@@ -280,7 +285,7 @@ fn join_pieces(curves: &[Curve]) -> Vec<Curve> {
     let mut curves = curves.to_vec();
     for cluster in clusters(&curves, &arcs, &ends) {
         let [e, f] = cluster.ends[..] else { continue };
-        if cluster.hit.is_some() || curves[e / 2].kind != curves[f / 2].kind {
+        if !cluster.hits.is_empty() || curves[e / 2].kind != curves[f / 2].kind {
             continue;
         }
         let target = mean(&ends, &cluster.ends);
@@ -349,7 +354,7 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
     let ends = curve_ends(curves);
     let clusters = clusters(curves, &arcs, &ends);
     let mut node_of_end = vec![usize::MAX; ends.len()];
-    for cluster in clusters.iter().filter(|c| c.hit.is_none()) {
+    for cluster in clusters.iter().filter(|c| c.hits.is_empty()) {
         let target = mean(&ends, &cluster.ends);
         for &e in &cluster.ends {
             node_of_end[e] = nodes.len();
@@ -363,7 +368,7 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
     let mut hits: Vec<(usize, Point, usize)> = vec![];
     for round in 0..4 {
         for cluster in &clusters {
-            let Some((curve, s)) = &cluster.hit else { continue };
+            let Some((curve, s)) = cluster.hit() else { continue };
             let s = s.iter().sum::<f64>() / s.len() as f64;
             let near = point_at(&curves[*curve].points, &arcs[*curve], s);
             let arc = arc_lengths(&points[*curve]);
@@ -422,6 +427,14 @@ fn joins_both_ends(a: &Cluster, b: &Cluster, total: &impl Fn(usize) -> f64) -> b
     a.ends.iter().any(|&e| b.ends.iter().any(|&f| e / 2 == f / 2 && total(e / 2) < 4.0 * SNAP_PX))
 }
 
+/// A stretch of a curve close to an end: its nearest point, and the arc length up to which it was followed.
+struct Pass {
+    curve: usize,
+    distance: f64,
+    s: f64,
+    last: f64,
+}
+
 /// All contacts within [`SNAP_PX`], nearest first.
 fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact> {
     let mut segments = vec![];
@@ -445,7 +458,8 @@ fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact>
         }
         let reach = SNAP_PX;
         grid.near(&[[p[0] - reach, p[1] - reach], [p[0] + reach, p[1] + reach]], &mut found);
-        let mut best: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
+        // A curve may pass several times.
+        let mut passes: Vec<Pass> = vec![];
         for &i in &found {
             let (c, k) = owner[i as usize];
             let [a, b] = segments[i as usize];
@@ -465,12 +479,22 @@ fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact>
                 if along < 1.5 * SNAP_PX && d <= SNAP_PX { d } else { f64::INFINITY }
             };
             let to_end = end_distance(0, s).min(end_distance(1, whole - s));
-            if d <= reach && d < 0.5 * to_end.min(2.0 * reach + 1.0) && best.get(&c).is_none_or(|b| d < b.0) {
-                best.insert(c, (d, s));
+            if d > reach || d >= 0.5 * to_end.min(2.0 * reach + 1.0) {
+                continue;
+            }
+            match passes.last_mut() {
+                Some(pass) if pass.curve == c && s - pass.last < 1.5 * SNAP_PX => {
+                    pass.last = s;
+                    if d < pass.distance {
+                        (pass.distance, pass.s) = (d, s);
+                    }
+                }
+                _ => passes.push(Pass { curve: c, distance: d, s, last: s }),
             }
         }
-        for (curve, (d, s)) in best {
-            contacts.push(Contact { distance: d, end: e, target: Target::Interior { curve, s } });
+        for pass in passes {
+            let target = Target::Interior { curve: pass.curve, s: pass.s };
+            contacts.push(Contact { distance: pass.distance, end: e, target });
         }
     }
     contacts.sort_by(|a, b| a.distance.total_cmp(&b.distance));
@@ -918,7 +942,7 @@ const TANGLE_PX: f64 = 5.0;
 /// Where a contour and a border close behind it cross by the unsteadiness of the hand, the outer one is the contour.
 fn untangle(arrangement: &mut Arrangement) {
     for f in 1..arrangement.faces.len() {
-        let &[ref cycle] = &arrangement.faces[f].cycles[..] else { continue };
+        let [cycle] = &arrangement.faces[f].cycles[..] else { continue };
         let &[g, h] = &cycle[..] else { continue };
         let (contour, border) = if arrangement.edges[g / 2].kind == StrokeKind::Contour { (g, h) } else { (h, g) };
         let kinds = [contour, border].map(|h| arrangement.edges[h / 2].kind);
