@@ -49,16 +49,23 @@ pub struct MapOptions {
     pub sides: SideFit,
     /// Most rounds of raising weights where the map is turned over.
     pub stiffening_rounds: usize,
+    /// Singularities of opposite index that are closer than this cancel, in edge lengths of the `density`: the grid could not tell
+    /// them apart.
+    pub pair_distance: f64,
+    /// Singularities closer than this to the border are moved over it, in edge lengths.
+    pub rim_distance: f64,
 }
 
 impl Default for MapOptions {
     fn default() -> Self {
         Self {
             density: Density::CellCount(500.0),
-            size_weight: 0.02,
-            size_rounds: 2,
+            size_weight: 0.01,
+            size_rounds: 1,
             sides: SideFit::Within(6f64.to_radians()),
             stiffening_rounds: 6,
+            pair_distance: 1.0,
+            rim_distance: 0.5,
         }
     }
 }
@@ -172,7 +179,12 @@ impl<'a> Integrator<'a> {
             let value = options.size_weight.to_string();
             return Err(Error::Argument { name: "size_weight", value, expected: "more than 0, at most 1" });
         }
-        let seams = Seams::new(field);
+        let area: f64 = (0..field.mesh.triangles.len()).map(|t| field.mesh.triangle_normal_area(t).1).sum();
+        let edge = match options.density {
+            Density::EdgeLength(edge) => edge,
+            Density::CellCount(count) => (area / count).sqrt(),
+        };
+        let seams = Seams::new(field, options.pair_distance * edge, options.rim_distance * edge);
         let triangles = elements(field, &seams)?;
         let mut layout = Layout::new(field, &seams);
         layout.fit_sides(field, &seams, options.sides);
@@ -180,7 +192,6 @@ impl<'a> Integrator<'a> {
         let Layout { forms: vertex_forms, inward, fitted_sides, free, integers, .. } = layout;
         let system = System::new(field, &seams, &vertex_forms, free, integers)?;
         let start = vec![[1.0, 1.0]; triangles.len()];
-        let area: f64 = triangles.iter().map(|t| t.area).sum();
         // Sizes are in units of cells per length for a map of about 500 cells; only their ratios matter.
         let unit = (500.0 / area).sqrt();
         let mut integrator = Self {
@@ -199,7 +210,8 @@ impl<'a> Integrator<'a> {
         let stiffness = vec![1.0; integrator.triangles.len()];
         for round in 0..=options.size_rounds {
             control.step("map", round as f64 / (options.size_rounds + 2) as f64)?;
-            integrator.base = integrator.reduce(&stiffness)?;
+            let (values, gradient) = integrator.assemble(&stiffness);
+            integrator.base = integrator.system.reduce(values, gradient)?;
             let y = integrator.base.relaxed();
             let solution = integrator.base.solution(1.0, &y);
             let corners = integrator.system.corners(&solution);
@@ -250,7 +262,8 @@ impl<'a> Integrator<'a> {
                     }
                 }
             }
-            let next = self.reduce(&stiffness)?.solution(scale, &y);
+            let (values, gradient) = self.assemble(&stiffness);
+            let next = self.system.solve(values, gradient, scale, &y)?;
             let next_corners = self.system.corners(&next);
             let next_flipped = self::flipped(&next_corners);
             if next_flipped.len() <= flipped.len() {
@@ -280,8 +293,8 @@ impl<'a> Integrator<'a> {
 
     /// Assembles the energy
     /// sum over triangles and families of A (sin^2(crossing) (grad a . v)^2 / s^2 + w (grad a . u / s - 1)^2)
-    /// and eliminates the real unknowns. The first term is about the squared angle between isoline and field.
-    fn reduce(&self, stiffness: &[f64]) -> Result<Reduced, Error> {
+    /// as matrix values and gradient. The first term is about the squared angle between isoline and field.
+    fn assemble(&self, stiffness: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut values = vec![0.0; self.system.slots];
         let mut gradient = vec![0.0; self.system.free + self.system.integers];
         for (t, element) in self.triangles.iter().enumerate() {
@@ -304,7 +317,7 @@ impl<'a> Integrator<'a> {
             }
             self.system.add(t, &hessian, &right, &mut values, &mut gradient);
         }
-        self.system.reduce(values, gradient)
+        (values, gradient)
     }
 
     /// Moves each triangle's target sizes to those of the map, smoothed over neighbours and bounded.
@@ -847,12 +860,34 @@ impl System {
         (0..self.contribution_starts.len() - 1).map(|t| [0, 1, 2].map(|k| [value(t, k), value(t, 3 + k)])).collect()
     }
 
+    /// The minimum over the free unknowns, y fixed; free unknowns, then y.
+    fn solve(&self, values: Vec<f64>, gradient: Vec<f64>, scale: f64, y: &[f64]) -> Result<Vec<f64>, Error> {
+        let n = self.free;
+        let direct = self.rows.len();
+        let factor = self.factorize(&values)?;
+        let mut solution: Vec<f64> = gradient[..n].iter().map(|g| scale * g).collect();
+        for (&(x, k), value) in self.mixed.iter().zip(&values[direct..]) {
+            solution[x as usize] -= value * y[k as usize];
+        }
+        if n > 0 {
+            factor.solve(&mut solution);
+        }
+        solution.extend_from_slice(y);
+        Ok(solution)
+    }
+
+    fn factorize(&self, values: &[f64]) -> Result<Cholesky, Error> {
+        let n = self.free;
+        let values = values[..self.rows.len()].to_vec();
+        let matrix = CsMat::new_csc((n, n), self.column_starts.clone(), self.rows.clone(), values);
+        self.symbolic.factorize(&matrix, "seamless map")
+    }
+
     /// Eliminates the free unknowns.
     fn reduce(&self, values: Vec<f64>, gradient: Vec<f64>) -> Result<Reduced, Error> {
         let (n, m) = (self.free, self.integers);
         let direct = self.rows.len();
-        let matrix = CsMat::new_csc((n, n), self.column_starts.clone(), self.rows.clone(), values[..direct].to_vec());
-        let factor: Cholesky = self.symbolic.factorize(&matrix, "seamless map")?;
+        let factor = self.factorize(&values)?;
         let mut columns = vec![0.0; n * (m + 1)];
         columns[..n].copy_from_slice(&gradient[..n]);
         for (&(x, y), value) in self.mixed.iter().zip(&values[direct..]) {

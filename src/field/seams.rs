@@ -72,8 +72,8 @@ pub(crate) struct Seams {
 }
 
 impl Seams {
-    /// Cuts and combs `field`.
-    pub fn new(field: &ConjugateField) -> Self {
+    /// Cuts and combs `field`; opposite singularities closer than `pair` cancel, and those closer than `rim` to the border leave over it.
+    pub fn new(field: &ConjugateField, pair: f64, rim: f64) -> Self {
         let triangles = &field.mesh.triangles;
         let count = triangles.len();
         let vertex_count = field.mesh.points.len();
@@ -121,11 +121,10 @@ impl Seams {
         for v in 0..vertex_count {
             let start = seams.outgoing[v];
             border[v] = start == NONE || seams.twin[start as usize] == NONE;
-            if border[v] {
-                continue;
-            }
-            let turns: u32 = seams.fan(v).map(|h| u32::from(seams.turn[previous(h)])).sum();
-            if !turns.is_multiple_of(4) {
+        }
+        seams.cancel(field, &border, pair, rim);
+        for v in (0..vertex_count).filter(|&v| !border[v]) {
+            if seams.turns_around(v) != 0 {
                 seams.singular.push(v as u32);
             }
         }
@@ -157,26 +156,76 @@ impl Seams {
         })
     }
 
+    /// Quarter turns of the matching around an inner vertex, 0 to 3.
+    fn turns_around(&self, v: usize) -> u8 {
+        (self.fan(v).map(|h| u32::from(self.turn[previous(h)])).sum::<u32>() % 4) as u8
+    }
+
+    /// Takes out singularities that no grid of this size can resolve, by turning the matching along the path between two of opposite
+    /// index, or from one to the border.
+    fn cancel(&mut self, field: &ConjugateField, border: &[bool], pair: f64, rim: f64) {
+        let singular: Vec<u32> =
+            (0..border.len() as u32).filter(|&v| !border[v as usize] && self.turns_around(v as usize) != 0).collect();
+        // (path length, start, end, half-edges from the end back to the start)
+        let mut paths: Vec<(f64, u32, u32, Vec<u32>)> = vec![];
+        let mut distance = vec![f64::INFINITY; border.len()];
+        let mut towards = vec![NONE; border.len()];
+        for &s in &singular {
+            let mut queue = BinaryHeap::from([Entry(0.0, s)]);
+            let mut touched = vec![s];
+            distance[s as usize] = 0.0;
+            while let Some(Entry(d, v)) = queue.pop() {
+                if d > distance[v as usize] {
+                    continue;
+                }
+                let ends_here = (border[v as usize] && d < rim) || (v > s && d < pair && singular.contains(&v));
+                if ends_here {
+                    let (mut path, mut w) = (vec![], v);
+                    while w != s {
+                        let h = towards[w as usize];
+                        path.push(h);
+                        w = field.mesh.triangles[h as usize / 3][h as usize % 3];
+                    }
+                    paths.push((d, s, v, path));
+                }
+                if border[v as usize] {
+                    continue;
+                }
+                for h in self.fan(v as usize) {
+                    let w = field.mesh.triangles[h / 3][(h + 1) % 3];
+                    let further = d + (field.mesh.position(v) - field.mesh.position(w)).norm();
+                    if further < distance[w as usize] && further < pair.max(rim) {
+                        distance[w as usize] = further;
+                        towards[w as usize] = h as u32;
+                        touched.push(w);
+                        queue.push(Entry(further, w));
+                    }
+                }
+            }
+            for v in touched {
+                distance[v as usize] = f64::INFINITY;
+                towards[v as usize] = NONE;
+            }
+        }
+        paths.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        for (_, s, end, path) in paths {
+            let turns = self.turns_around(s as usize);
+            let opposite = border[end as usize] || (turns + self.turns_around(end as usize)).is_multiple_of(4);
+            if turns == 0 || !opposite {
+                continue;
+            }
+            // Around the end of h the step over h adds what is added to its turn, around its origin it takes that away.
+            for h in path {
+                let other = self.twin[h as usize] as usize;
+                self.turn[h as usize] = (self.turn[h as usize] + turns) % 4;
+                self.turn[other] = (self.turn[other] + 4 - turns) % 4;
+            }
+        }
+    }
+
     /// Shortest paths over edges from the singularities to the border or an earlier path. Returns the vertices on paths, children
     /// before parents, and for each vertex on a path the half-edge towards its parent.
     fn cut(&self, field: &ConjugateField, border: &[bool]) -> (Vec<u32>, Vec<u32>) {
-        struct Entry(f64, u32);
-        impl PartialEq for Entry {
-            fn eq(&self, other: &Self) -> bool {
-                self.cmp(other) == Ordering::Equal
-            }
-        }
-        impl Eq for Entry {}
-        impl PartialOrd for Entry {
-            fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-                Some(self.cmp(other))
-            }
-        }
-        impl Ord for Entry {
-            fn cmp(&self, other: &Self) -> Ordering {
-                other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
-            }
-        }
         let count = border.len();
         let mut parent = vec![NONE; count];
         if self.singular.is_empty() {
@@ -333,6 +382,26 @@ impl Seams {
         }
         self.translations.push(t);
         self.translations.len() as u32 - 1
+    }
+}
+
+/// A vertex in a queue, the nearest first.
+struct Entry(f64, u32);
+
+impl PartialEq for Entry {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+impl Eq for Entry {}
+impl PartialOrd for Entry {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Entry {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
     }
 }
 

@@ -52,7 +52,51 @@ pub(crate) fn unfold(map: &mut PlanarMap, repairs: &mut Repairs) {
             break;
         }
     }
-    drop_dangling(map);
+    simplify(map, repairs);
+}
+
+/// Removes inner edges until every face is a polygon that meets each of its nodes once, and no two edges join the same nodes.
+///
+/// Nothing to do where the map turns no triangle over. Each removal unites two faces, so the domain stays covered.
+pub(crate) fn simplify(map: &mut PlanarMap, repairs: &mut Repairs) {
+    loop {
+        drop_dangling(map);
+        let Some(h) = superfluous(map) else { return };
+        let ends = [map.origin[h as usize], map.end(h)];
+        map.remove(h);
+        ends.iter().for_each(|&n| drop_straight(map, n));
+        repairs.united += 1;
+    }
+}
+
+/// An inner edge that keeps the map from being a mesh.
+fn superfluous(map: &PlanarMap) -> Option<u32> {
+    for node in 0..map.nodes.len() as u32 {
+        // Parallel edges and loops.
+        let arms: Vec<u32> = map.arms(node).collect();
+        for (i, &h) in arms.iter().enumerate() {
+            let parallel = arms[..i].iter().find(|&&g| map.end(g) == map.end(h));
+            if let Some(&g) = parallel.filter(|_| map.end(h) >= node) {
+                if let Some(&which) = [h, g].iter().find(|&&e| !map.is_border(e)) {
+                    return Some(which);
+                }
+            }
+        }
+    }
+    for h in map.faces() {
+        let face: Vec<u32> = map.face(h).collect();
+        for i in 0..face.len() {
+            let node = map.origin[face[i] as usize];
+            let Some(j) = (i + 1..face.len()).find(|&j| map.origin[face[j] as usize] == node) else { continue };
+            // The shorter way from the node back to itself surrounds what hangs on it.
+            let (inner, rest) = (&face[i..j], [&face[j..], &face[..i]].concat());
+            let ways = if inner.len() <= rest.len() { [inner.to_vec(), rest] } else { [rest, inner.to_vec()] };
+            if let Some(&h) = ways.iter().flatten().find(|&&g| !map.is_border(g)) {
+                return Some(h);
+            }
+        }
+    }
+    None
 }
 
 /// Removes edges that end nowhere, again and again.
@@ -63,6 +107,7 @@ fn drop_dangling(map: &mut PlanarMap) {
             let h = map.first[node as usize];
             let other = map.end(h);
             map.remove(h);
+            drop_straight(map, other);
             stack.push(other);
         }
     }

@@ -37,11 +37,14 @@ pub struct VertexOrigin {
 }
 
 /// What an edge of the mesh follows.
+///
+/// The two families carry their names from triangle to triangle by the field's matching, from u and v of the first triangle; around
+/// singularities of odd index they trade names somewhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeFamily {
-    /// The field's direction u.
+    /// The family of the field's u.
     U,
-    /// The field's direction v.
+    /// The family of the field's v.
     V,
     /// The border of the mesh.
     Border,
@@ -85,7 +88,7 @@ impl Default for ExtractOptions {
             border: BorderMode::Trimmed,
             shortest_border_edge: 0.25,
             smallest_panel: 0.15,
-            straight_corner: 30f64.to_radians(),
+            straight_corner: 15f64.to_radians(),
         }
     }
 }
@@ -115,6 +118,10 @@ pub fn panels(
     if options.border == BorderMode::Aligned {
         map_options.sides = SideFit::Always;
     }
+    map_options.density = match target {
+        PanelTarget::EdgeLength(edge) => Density::EdgeLength(edge),
+        PanelTarget::Faces(faces) => Density::CellCount(faces.max(1) as f64),
+    };
     let integrator = Integrator::new(field, &map_options, control)?;
     let faces = match target {
         PanelTarget::EdgeLength(edge) => {
@@ -189,6 +196,7 @@ pub fn extract(
                 cells.dissolve(node);
             }
         }
+        border::simplify(&mut cells, &mut repairs);
         cells.faces()
     };
     assemble(&cells, faces, surface, repairs, options.border != BorderMode::Interior)

@@ -278,9 +278,8 @@ impl<'a> Arrangement<'a> {
             _ => 1.0,
         };
         for family in 0..2 {
-            // Isolines of a run along the direction after the one that a follows.
-            let along = map.name[t] + u8::from(family == 0);
-            let course = if along.is_multiple_of(2) { Course::U } else { Course::V };
+            // Isolines of a run along v of the combed field.
+            let course = if family == 0 { Course::V } else { Course::U };
             for chord in &mut chords[family] {
                 chord.crossings.sort_by_key(|c| c.0);
                 let mut ends = chord.ends;

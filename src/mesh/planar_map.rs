@@ -34,9 +34,9 @@ pub(crate) struct Node {
 /// What a half-edge runs along.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Course {
-    /// Along direction u of the field.
+    /// Along u of the combed field.
     U,
-    /// Along direction v of the field.
+    /// Along v of the combed field.
     V,
     /// Along the patch's border.
     Border,
