@@ -76,10 +76,10 @@ fn superfluous(map: &PlanarMap) -> Option<u32> {
         let arms: Vec<u32> = map.arms(node).collect();
         for (i, &h) in arms.iter().enumerate() {
             let parallel = arms[..i].iter().find(|&&g| map.end(g) == map.end(h));
-            if let Some(&g) = parallel.filter(|_| map.end(h) >= node) {
-                if let Some(&which) = [h, g].iter().find(|&&e| !map.is_border(e)) {
-                    return Some(which);
-                }
+            if let Some(&g) = parallel.filter(|_| map.end(h) >= node)
+                && let Some(&which) = [h, g].iter().find(|&&e| !map.is_border(e))
+            {
+                return Some(which);
             }
         }
     }
