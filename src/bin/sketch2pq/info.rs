@@ -2,7 +2,7 @@
 
 use crate::{Runtime, print};
 use clap::Args;
-use sketch2pq::pipeline::Session;
+use sketch2pq::infer::{Backend, BackendChoice, BackendOptions, Models, Network};
 use std::fmt::Write as _;
 
 #[derive(Args)]
@@ -12,6 +12,7 @@ pub struct Info {
 }
 
 impl Info {
+    /// Prints versions, backends and models.
     pub fn execute(&self) -> Result<(), String> {
         let mut text = String::new();
         let mut line = |label: &str, value: String| {
@@ -19,11 +20,31 @@ impl Info {
         };
         line("sketch2pq", env!("CARGO_PKG_VERSION").into());
         line("ABI", sketch2pq::ffi::s2pq_abi_version().to_string());
-        let session = Session::new(&self.runtime.session_options()).map_err(|e| e.to_string())?;
-        let backend = session.backend();
-        line("backend", backend.to_string());
-        line("why", backend.why.clone());
-        line("threads", session.threads().to_string());
+        let options = |choice| BackendOptions {
+            choice,
+            runtime_path: self.runtime.runtime.clone(),
+            threads: self.runtime.threads,
+        };
+        let open = |choice| Backend::open(&options(choice));
+        let chosen = open(self.runtime.backend).map_err(|e| e.to_string())?;
+        line("backend", format!("{}, {} threads", chosen.info(), chosen.info().threads));
+        line("why", chosen.info().why.clone());
+        for choice in [BackendChoice::Ort, BackendChoice::Embedded] {
+            let state = open(choice).map_or_else(|error| error.to_string(), |backend| backend.info().to_string());
+            line(choice.name(), state);
+        }
+        let models = match &self.runtime.models {
+            Some(folder) => Models::from_folder(folder),
+            None => Models::embedded(),
+        };
+        let models = models.map_err(|e| e.to_string())?;
+        line("models", models.origin().into());
+        for network in Network::ALL {
+            let entry = models.entry(network);
+            let millions = entry.parameters as f64 / 1e6;
+            let (seen, commit) = (entry.training.samples_seen, &entry.training.commit);
+            line(network.name(), format!("{millions:.1} M parameters, {seen} samples seen, commit {commit}"));
+        }
         print(&text);
         Ok(())
     }

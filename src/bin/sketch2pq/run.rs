@@ -184,7 +184,8 @@ fn advance(bar: &ProgressBar, stage: &str, fraction: f64) {
     }
 }
 
-/// Writes all files beside their places first, then moves them there: an error before the first move leaves nothing behind.
+/// Writes all files beside their places first, then moves them there: an error before the first move leaves nothing
+/// behind.
 fn write_all(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<(), String> {
     let fresh = !folder.exists();
     let fail = |path: &Path, error: std::io::Error| format!("{}: {error}", path.display());
