@@ -1,13 +1,13 @@
 //! Second call: surface to conjugate direction field.
 
-use super::lift::{Guess, feature_constraints, guess_directions, seen_layers};
+use super::lift::{Seen, canvas_field};
 use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
 use super::surface::{SurfacePatch, SurfaceResult};
 use crate::control::Control;
 use crate::error::Error;
-use crate::field::{ConjugateField, conjugate_field};
+use crate::field::{CanvasView, ConjugateField, conjugate_field, constraints_from_lines, guess_from_canvas};
 use crate::infer::{Networks, SketchMaps};
 use crate::sketch::{CanonicalFrame, PatchSketch, Sketch, StrokeKind, rasterize, understand};
 use crate::surface::{NurbsSurface, SurfaceMesh};
@@ -28,6 +28,9 @@ pub struct FieldOptions {
 
 /// Cells along the longer side of a patch unless the host says otherwise.
 const DEFAULT_RESOLUTION: usize = 48;
+/// Weight of a feature line that crosses a whole triangle. In the solver's unit an edge weighs about 1, so the field
+/// follows the line and yields where two lines contradict each other.
+const LINE_WEIGHT: f64 = 300.0;
 /// Range of what a host may say, and fewest cells along the shorter side.
 const RESOLUTIONS: std::ops::RangeInclusive<usize> = 8..=256;
 
@@ -124,18 +127,20 @@ impl FieldResult {
 
 /// Finds a conjugate direction field on each patch of a surface.
 ///
-/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own surface, lines drawn
-///   over its picture in the sketch's view; or none: the surface alone decides.
+/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own
+///   surface, lines drawn over its picture in the sketch's view; or none: the surface alone decides.
 ///
-/// Where the sketch has an outline, CDF-Net guesses the directions in the canvas plane; they are lifted to the first and second layer of the
-/// surface along the view. Feature lines are lifted to the first layer and steer the field as strong soft constraints.
+/// Where the sketch has an outline, CDF-Net guesses the directions in the canvas plane; they are lifted to the first
+/// and second layer of the surface along the view. Feature lines are lifted to the first layer and steer the field as
+/// strong soft constraints.
 ///
 /// # Errors
-/// [`Error::Argument`] for options out of range; as [`understand`] for the sketch and [`conjugate_field`] for the surface;
-/// [`Error::Backend`] and [`Error::Model`] from the network; [`Error::Cancelled`].
+/// [`Error::Argument`] for options out of range; as [`understand`] for the sketch and [`conjugate_field`] for the
+/// surface; [`Error::Backend`] and [`Error::Model`] from the network; [`Error::Cancelled`].
 ///
 /// # Source
-/// Sketch2PQ, Sec. 3.2.4 and 3.3. The paper smooths the lifted guess; here the solver starts from it and keeps the field conjugate.
+/// Sketch2PQ, Sec. 3.2.4 and 3.3. The paper smooths the lifted guess; here the solver starts from it and keeps the
+/// field conjugate.
 pub fn sketch_to_cdf(
     session: &mut Session,
     sketch: Option<&Sketch>,
@@ -247,15 +252,17 @@ fn patch_field(
     };
     let surface = patch.surface.mapped(|p| placement.from_world(p));
     let mesh = timed(&mut times.field, || SurfaceMesh::new(&surface, cells(&surface, options.resolution)))?;
-    let layers = timed(&mut times.field, || sketch.map(|_| seen_layers(&mesh)));
+    let view = CanvasView::default();
+    let seen = timed(&mut times.field, || sketch.map(|_| Seen::new(&mesh)));
 
     let mut guess = None;
-    if let (Some(outline), Some(layers), true) = (outline, &layers, options.use_network) {
+    if let (Some(outline), Some(seen), true) = (outline, &seen, options.use_network) {
         let raster = timed(&mut times.sketch, || rasterize(outline));
         let maps = SketchMaps::new(outline, &raster);
-        let seen = timed(&mut times.field, || layers.prediction(&raster, maps.slope));
-        let predicted = timed(&mut times.infer, || networks.predict_directions(&maps, &seen, control))?;
-        guess = Some(timed(&mut times.field, || guess_directions(&mesh, layers, &Guess { predicted, seen })));
+        let normals = timed(&mut times.field, || seen.prediction(&raster, maps.slope));
+        let predicted = timed(&mut times.infer, || networks.predict_directions(&maps, &normals, control))?;
+        let crosses = canvas_field(&predicted, &raster)?;
+        guess = Some(timed(&mut times.field, || guess_from_canvas(&mesh, &view, &crosses)));
     }
     let lines: Vec<Vec<[f64; 2]>> = match (sketch, outline, frame) {
         (_, Some(outline), _) => {
@@ -268,10 +275,8 @@ fn patch_field(
         }
         _ => vec![],
     };
-    let (constraints, feature_lines) = match &layers {
-        Some(layers) => timed(&mut times.field, || feature_constraints(&mesh, layers, &lines)),
-        None => (vec![], vec![]),
-    };
+    let feature_lines = timed(&mut times.field, || seen.map_or(vec![], |seen| seen.lifted_lines(&lines)));
+    let constraints = timed(&mut times.field, || constraints_from_lines(&mesh, &view, &lines, LINE_WEIGHT))?;
     let solver = crate::field::FieldOptions {
         crossing_floor_deg: options.crossing_floor_deg,
         aligned_sides: [options.align_border; 4],

@@ -72,7 +72,8 @@ pub struct MeshPatch {
     pub irregular: Vec<u32>,
     /// Faces that had to be left out.
     pub dropped: usize,
-    /// Length of the surface's border, and how much of it lies within a tenth of the mean edge length of the mesh's border; canvas unit.
+    /// Length of the surface's border, and how much of it lies within a tenth of the mean edge length of the mesh's
+    /// border; canvas unit.
     pub border_length: [f64; 2],
     /// Sum over the feature lines of length times angle to the nearer family of edges, degrees; and their length.
     pub feature_angle: [f64; 2],
@@ -112,7 +113,8 @@ pub struct MeshMeasures {
     pub edge_length_mean: f64,
     /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border.
     pub border_covered: f64,
-    /// Mean angle between a feature line and the nearer family of the mesh's edges, degrees; `None` without feature lines.
+    /// Mean angle between a feature line and the nearer family of the mesh's edges, degrees; `None` without feature
+    /// lines.
     pub feature_angle_deg: Option<f64>,
 }
 
@@ -155,13 +157,13 @@ impl MeshResult {
 
 /// Extracts panels along a field and moves their vertices until every panel is planar.
 ///
-/// The field is integrated to a seamless map; its integer isolines cut the surface into panels, cut at the border as the options say;
-/// Newton's method on the planarity constraints then moves the vertices, close to the surface and its border. Of several patches each
-/// gets faces by its share of the whole area.
+/// The field is integrated to a seamless map; its integer isolines cut the surface into panels, cut at the border as
+/// the options say; Newton's method on the planarity constraints then moves the vertices, close to the surface and its
+/// border. Of several patches each gets faces by its share of the whole area.
 ///
 /// # Errors
-/// [`Error::Argument`] for options out of range; [`Error::NoMesh`] if no panel fits on a patch; [`Error::NotPlanar`] if asked to be
-/// strict; else as [`panels`] and [`planarize`]; [`Error::Cancelled`].
+/// [`Error::Argument`] for options out of range; [`Error::NoMesh`] if no panel fits on a patch; [`Error::NotPlanar`] if
+/// asked to be strict; else as [`panels`] and [`planarize`]; [`Error::Cancelled`].
 ///
 /// # Source
 /// Sketch2PQ, Sec. 3.2.4 and 4, with another extraction and planarization: see there.
@@ -324,13 +326,14 @@ fn distance_to_segment([a, b]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
     (p - (a + d * t)).norm()
 }
 
-/// Sum over the segments of the feature lines of length times angle to the better aligned family of edges of the nearest quad, degrees,
-/// and the sum of the lengths.
+/// Sum over the segments of the feature lines of length times angle to the better aligned family of edges of the
+/// nearest quad, degrees, and the sum of the lengths.
 ///
 /// The families of a quad are its two midlines; the nearest quad is the one with the nearest centre.
 ///
 /// # Source
-/// Sketch2PQ, Sec. 4.1 (D_f). As printed it is a sum, and to the closest edge, which is often one of the crossing family.
+/// Sketch2PQ, Sec. 4.1 (D_f). As printed it is a sum, and to the closest edge, which is often one of the crossing
+/// family.
 fn feature_angle(lines: &[Vec<Point3<f64>>], mesh: &PanelMesh) -> [f64; 2] {
     let quads: Vec<(Point3<f64>, [Vector3<f64>; 2])> = mesh
         .faces()

@@ -1,7 +1,8 @@
 //! The three calls that a host makes: sketch to surface, surface to field, field to mesh; with progress and cancel.
 //!
-//! Results hold one patch for each outline of the sketch, in the world frame and the canvas unit. Every stage works in a frame in which the
-//! patch has one size (see [`Placement`]), so moving or scaling the strokes moves or scales the results.
+//! Results hold one patch for each outline of the sketch, in the world frame and the canvas unit. Every stage works in
+//! a frame in which the patch has one size (see [`Placement`]), so moving or scaling the strokes moves or scales the
+//! results.
 
 mod field;
 mod lift;

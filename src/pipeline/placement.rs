@@ -9,8 +9,8 @@ const WORKING_LENGTH: f64 = crate::sketch::CANONICAL_LENGTH;
 
 /// A similarity: world = origin + axes * working / scale.
 ///
-/// For a surface from a sketch the working frame is the canonical frame. For a host's own surface it has the world's axes, and the
-/// centre and size of the control net's bounding box.
+/// For a surface from a sketch the working frame is the canonical frame. For a host's own surface it has the world's
+/// axes, and the centre and size of the control net's bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Columns: the working frame's axes in the world, orthonormal and right-handed.
@@ -29,8 +29,8 @@ impl Placement {
         Self { axes, scale: frame.scale, origin }
     }
 
-    /// The frame that centres a surface's control net and gives its longest side the canonical length; `None` for a surface without
-    /// extent, or so far away that its extent is lost in rounding.
+    /// The frame that centres a surface's control net and gives its longest side the canonical length; `None` for a
+    /// surface without extent, or so far away that its extent is lost in rounding.
     pub fn of_surface(surface: &NurbsSurface) -> Option<Self> {
         let points = surface.control_points();
         let (mut low, mut high) = (points[0], points[0]);

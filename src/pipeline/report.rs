@@ -3,10 +3,11 @@
 use super::session::Times;
 use serde::Serialize;
 
-/// Measures of one run, under the keys of `report.json`; what a stage has not measured yet, or does not apply, is `None` and left out.
+/// Measures of one run, under the keys of `report.json`; what a stage has not measured yet, or does not apply, is
+/// `None` and left out.
 ///
-/// Over several patches: means are weighted by what they are means of, worst values are the worst, counts are sums. The words of each key are
-/// defined where it is measured.
+/// Over several patches: means are weighted by what they are means of, worst values are the worst, counts are sums. The
+/// words of each key are defined where it is measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Version of the library.

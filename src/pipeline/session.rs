@@ -32,8 +32,8 @@ pub struct SessionOptions {
 
 /// Loaded networks and the threads that the stages run on.
 ///
-/// Cheap to keep, and the three calls take it in turn: one thread at a time. The stages run on the session's own threads;
-/// progress is reported on the thread that called, so that a host may touch its user interface there.
+/// Cheap to keep, and the three calls take it in turn: one thread at a time. The stages run on the session's own
+/// threads; progress is reported on the thread that called, so that a host may touch its user interface there.
 pub struct Session {
     networks: Networks,
     control: Control,
@@ -45,8 +45,8 @@ impl Session {
     /// Loads the networks and starts the threads.
     ///
     /// # Errors
-    /// [`Error::Backend`] and [`Error::Model`] if the networks cannot be run as asked; [`Error::Argument`] for more than
-    /// [`MAX_THREADS`] threads, or if the system gives none.
+    /// [`Error::Backend`] and [`Error::Model`] if the networks cannot be run as asked; [`Error::Argument`] for more
+    /// than [`MAX_THREADS`] threads, or if the system gives none.
     pub fn new(options: &SessionOptions) -> Result<Self, Error> {
         let fail = |expected| Error::Argument { name: "threads", value: options.threads.to_string(), expected };
         if options.threads > MAX_THREADS {
@@ -73,8 +73,8 @@ impl Session {
 
     /// A handle on the session's cancel flag, for any thread.
     ///
-    /// A cancel stops the running call, or, if none runs, the next one; the call that it stops forgets it again, and so does a call that
-    /// ends before it sees it.
+    /// A cancel stops the running call, or, if none runs, the next one; the call that it stops forgets it again, and so
+    /// does a call that ends before it sees it.
     pub fn control(&self) -> Control {
         self.control.clone()
     }

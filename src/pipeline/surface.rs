@@ -19,7 +19,8 @@ use serde_json::{Value, json};
 /// What a host may ask of a surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceOptions {
-    /// Places near the outline, canvas frame, in any order, that become the four corners of the patch; `None`: they are found.
+    /// Places near the outline, canvas frame, in any order, that become the four corners of the patch; `None`: they are
+    /// found.
     ///
     /// Only for a sketch with one outline.
     pub corners: Option<[[f64; 2]; 4]>,
@@ -41,8 +42,8 @@ pub struct SurfacePatch {
 /// How well a patch obeys the sketch. All zero for a host's own surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceDiagnostics {
-    /// Mean distance from the structural strokes to the projected border and silhouette, pixels of the 256 canvas: that of
-    /// border and contour strokes, weighted by their lengths.
+    /// Mean distance from the structural strokes to the projected border and silhouette, pixels of the 256 canvas: that
+    /// of border and contour strokes, weighted by their lengths.
     pub reprojection_mean_px: f64,
     /// The largest of the same.
     pub reprojection_max_px: f64,
@@ -116,10 +117,10 @@ fn surface_value(surface: &NurbsSurface) -> Value {
 
 /// Turns a sketch into a surface: one patch for each outline.
 ///
-/// Strokes are arranged into regions and drawn as maps; VD-Net and OD-Net predict depth and normals of both layers; the border
-/// strokes, lifted to those depths, span a Coons patch; BSR-Net and then Gauss-Newton shape it. Without depth samples the
-/// lowest point of each patch has z = 0 (seen from within three degrees of the horizon, where sliding along the view moves nothing up or
-/// down: its mean depth is 0); with depth samples the patch passes through them.
+/// Strokes are arranged into regions and drawn as maps; VD-Net and OD-Net predict depth and normals of both layers; the
+/// border strokes, lifted to those depths, span a Coons patch; BSR-Net and then Gauss-Newton shape it. Without depth
+/// samples the lowest point of each patch has z = 0 (seen from within three degrees of the horizon, where sliding along
+/// the view moves nothing up or down: its mean depth is 0); with depth samples the patch passes through them.
 ///
 /// # Errors
 /// As [`understand`]; [`Error::Argument`] for corners of a sketch with several outlines, or not finite;
@@ -237,7 +238,8 @@ fn layer_map(depths: &DepthPrediction, layer: Layer) -> Result<LayerMap, Error> 
     LayerMap::new(CANVAS_HALF_WIDTH, depth, normal.collect(), &wide(coverage_front), &wide(coverage_back))
 }
 
-/// Smallest sine of the view's elevation at which a patch can be put on the ground by sliding it along the view: three degrees.
+/// Smallest sine of the view's elevation at which a patch can be put on the ground by sliding it along the view: three
+/// degrees.
 const LOWEST_VIEW: f64 = 0.052;
 /// Samples a side, and halvings of their distance around the lowest, in the search for the lowest point.
 const LOWEST_SAMPLES: usize = 65;
