@@ -156,24 +156,28 @@ typedef uint32_t S2pqBorder;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's handle.
+// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's
+// handle.
 typedef struct S2pqField S2pqField;
 
-// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's handle.
+// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's
+// handle.
 typedef struct S2pqMesh S2pqMesh;
 
 // Loaded networks, threads, progress and cancel. Cheap to keep; made by s2pq_session_new.
 //
-// One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at once. Only
-// s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
+// One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at
+// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
 typedef struct S2pqSession S2pqSession;
 
 // Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new or s2pq_sketch_from_json.
 //
-// Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y down.
+// Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y
+// down.
 typedef struct S2pqSketch S2pqSketch;
 
-// One or more NURBS patches, world frame (right-handed, z up), canvas unit. Made by sketch_to_surface or s2pq_surface_from_nurbs.
+// One or more NURBS patches, world frame (right-handed, z up), canvas unit. Made by sketch_to_surface or
+// s2pq_surface_from_nurbs.
 typedef struct S2pqSurface S2pqSurface;
 
 // How a session is made. Fill it by s2pq_session_options_init, then change what you need.
@@ -188,12 +192,13 @@ typedef struct S2pqSessionOptions {
   uint32_t reserved;
   // File or folder of the ONNX Runtime, UTF-8, absolute; NULL: search for one. Lent for the call.
   const char *runtime_path;
-  // Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent for the call.
+  // Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent
+  // for the call.
   const char *models_folder;
 } S2pqSessionOptions;
 
-// Called on the thread that called the stage, at least some times a second, with the stage's name (UTF-8, valid during the callback) and
-// the fraction of that stage that is done, in [0, 1].
+// Called on the thread that called the stage, at least some times a second, with the stage's name (UTF-8, valid during
+// the callback) and the fraction of that stage that is done, in [0, 1].
 //
 // Must not throw, long-jump or call anything of this session but s2pq_cancel.
 typedef void (*S2pqProgress)(void *user, const char *stage, double fraction);
@@ -204,17 +209,19 @@ typedef struct S2pqSurfaceOptions {
   uint32_t struct_size;
   // Zero.
   uint32_t reserved;
-  // Four corners of the surface, x and y each, canvas frame, near the outline and in any order; NULL: they are found, the default. Lent
-  // for the call. Only for a sketch with one outline.
+  // Four corners of the surface, x and y each, canvas frame, near the outline and in any order; NULL: they are
+  // found, the default. Lent for the call. Only for a sketch with one outline.
   const double *corners;
-  // Smoothness against detail: 1 is balanced, 10 irons out small waves, 0.1 follows the predicted depth closely. Default 1.
+  // Smoothness against detail: 1 is balanced, 10 irons out small waves, 0.1 follows the predicted depth closely.
+  // Default 1.
   double fairness;
 } S2pqSurfaceOptions;
 
 // One NURBS patch, in or out. Set struct_size before every use.
 //
-// Knots are the textbook's: count + degree + 1, clamped. Rhino and openNURBS store the same vector without its first and last entry, count +
-// degree - 1: pass those as they are, and read them as `knots_u + 1` with `knot_count_u - 2` entries.
+// Knots are the textbook's: count + degree + 1, clamped. Rhino and openNURBS store the same vector without its first
+// and last entry, count + degree - 1: pass those as they are, and read them as `knots_u + 1` with `knot_count_u - 2`
+// entries.
 typedef struct S2pqNurbs {
   // sizeof(S2pqNurbs)
   uint32_t struct_size;
@@ -236,7 +243,8 @@ typedef struct S2pqNurbs {
   const double *knots_u;
   // Knots in v.
   const double *knots_v;
-  // count_u * count_v times x, y, z, v running fastest; world frame (right-handed, z up). Not multiplied by the weights.
+  // count_u * count_v times x, y, z, v running fastest; world frame (right-handed, z up). Not multiplied by the
+  // weights.
   const double *control_points;
   // count_u * count_v positive weights in the same order; NULL if all are 1.
   const double *weights;
@@ -248,7 +256,8 @@ typedef struct S2pqSurfaceDiagnostics {
   uint32_t struct_size;
   // Places of a grid over the patch where neighbouring normals point in opposite directions: folds and cusps.
   uint32_t fold_overs;
-  // Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256 canvas that the sketch fills.
+  // Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256
+  // canvas that the sketch fills.
   double reprojection_mean_px;
   // Largest of the same.
   double reprojection_max_px;
@@ -262,7 +271,8 @@ typedef struct S2pqSurfaceDiagnostics {
 typedef struct S2pqFieldOptions {
   // sizeof(S2pqFieldOptions)
   uint32_t struct_size;
-  // 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and smoothness alone.
+  // 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and
+  // smoothness alone.
   uint32_t use_network;
   // 1: one family of directions follows the border; 0, the default: it may cross it.
   uint32_t align_border;
@@ -296,7 +306,8 @@ typedef struct S2pqMeshOptions {
   uint32_t border;
   // Wanted number of faces over all patches, where edge_length is 0. Default 500.
   uint32_t faces;
-  // 1: a mesh whose planarity misses the target is S2PQ_STATUS_NOT_REACHED; 0, the default: it is given with its measures.
+  // 1: a mesh whose planarity misses the target is S2PQ_STATUS_NOT_REACHED; 0, the default: it is given with its
+  // measures.
   uint32_t strict;
   // Wanted edge length, canvas unit; 0, the default: chosen to give the wanted number of faces.
   double edge_length;
@@ -324,7 +335,8 @@ typedef struct S2pqMeshReport {
   double deviation_max_edges;
   // Mean edge length, canvas unit.
   double edge_length_mean;
-  // Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border, in [0, 1].
+  // Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border,
+  // in [0, 1].
   double border_covered;
   // Milliseconds of all stages together, from the sketch on.
   double time_ms;
@@ -341,8 +353,9 @@ const char *s2pq_status_name(uint32_t status);
 
 // The version of the ABI, 1000 * major + minor.
 //
-// Check on load that it equals S2PQ_ABI_VERSION: until version 1.0 every minor version may change the ABI; from then on a library serves every
-// host of the same major version that was compiled against its own or a smaller minor version.
+// Check on load that it equals S2PQ_ABI_VERSION: until version 1.0 every minor version may change the ABI; from then
+// on a library serves every host of the same major version that was compiled against its own or a smaller minor
+// version.
 uint32_t s2pq_abi_version(void);
 
 // The version of the library as text, "major.minor.patch"; static.
@@ -395,8 +408,9 @@ S2pqStatus s2pq_session_backend(const struct S2pqSession *session, const char **
 
 // Stops the call that the session is at work on, from any thread: it soon answers S2PQ_STATUS_CANCELLED.
 //
-// Every stage looks between its networks and in every outer iteration, some tens of milliseconds apart at most. If no call is at work, the next
-// one is stopped; s2pq_cancel_reset forgets such a cancel. Each call forgets the cancel when it returns.
+// Every stage looks between its networks and in every outer iteration, some tens of milliseconds apart at most. If no
+// call is at work, the next one is stopped; s2pq_cancel_reset forgets such a cancel. Each call forgets the cancel when
+// it returns.
 //
 // Must be valid:
 // The session is not freed during the call.
@@ -455,28 +469,23 @@ S2pqStatus s2pq_sketch_set_view_axes(struct S2pqSketch *sketch, const double *ax
 //
 // - `kind`: an S2pqStrokeKind.
 // - `xy`: `point_count` times x and y, canvas frame.
-// - A number that is not finite is S2PQ_STATUS_INVALID_SKETCH, and so is a sketch of more points than the library takes.
+// - A number that is not finite is S2PQ_STATUS_INVALID_SKETCH, and so is a sketch of more points than the library
+//   takes.
 //
 // Must be valid:
 // `xy` is valid for reading 2 * `point_count` numbers.
-S2pqStatus s2pq_sketch_add_stroke(struct S2pqSketch *sketch,
-                                  uint32_t kind,
-                                  const double *xy,
-                                  size_t point_count);
+S2pqStatus s2pq_sketch_add_stroke(struct S2pqSketch *sketch, uint32_t kind, const double *xy, size_t point_count);
 
 // Adds a known depth.
 //
 // - `layer`: an S2pqLayer.
 // - `x`, `y`: canvas point.
-// - `depth`: distance along the view direction from the plane through the world's origin, growing away from the viewer, canvas unit.
+// - `depth`: distance along the view direction from the plane through the world's origin, growing away from the
+//   viewer, canvas unit.
 //
 // Must be valid:
 // `sketch` is NULL or any pointer.
-S2pqStatus s2pq_sketch_add_depth_sample(struct S2pqSketch *sketch,
-                                        uint32_t layer,
-                                        double x,
-                                        double y,
-                                        double depth);
+S2pqStatus s2pq_sketch_add_depth_sample(struct S2pqSketch *sketch, uint32_t layer, double x, double y, double depth);
 
 // Removes all strokes and depth samples; the view stays.
 //
@@ -506,8 +515,8 @@ S2pqStatus s2pq_surface_options_init(struct S2pqSurfaceOptions *options, size_t 
 
 // Turns a sketch into a surface: one patch for each outline.
 //
-// Without depth samples the surface's lowest point has z = 0; with depth samples it passes through them. Moving or scaling the strokes moves or
-// scales the result.
+// Without depth samples the surface's lowest point has z = 0; with depth samples it passes through them. Moving or
+// scaling the strokes moves or scales the result.
 //
 // - `sketch`: read only.
 // - `options`: NULL for the defaults.
@@ -575,13 +584,12 @@ S2pqStatus s2pq_surface_diagnostics(const struct S2pqSurface *surface,
                                     size_t patch,
                                     struct S2pqSurfaceDiagnostics *diagnostics);
 
-// Strokes that played no part, by their place in the sketch: too short, or drawn twice. Lent until the surface is freed.
+// Strokes that played no part, by their place in the sketch: too short, or drawn twice. Lent until the surface is
+// freed.
 //
 // Must be valid:
 // `strokes` and `count` are valid for writing.
-S2pqStatus s2pq_surface_unused_strokes(const struct S2pqSurface *surface,
-                                       const uint32_t **strokes,
-                                       size_t *count);
+S2pqStatus s2pq_surface_unused_strokes(const struct S2pqSurface *surface, const uint32_t **strokes, size_t *count);
 
 // Measures and times as JSON, UTF-8, NUL-terminated; lent until the surface is freed.
 //
@@ -605,8 +613,8 @@ S2pqStatus s2pq_field_options_init(struct S2pqFieldOptions *options, size_t size
 
 // Finds a conjugate direction field on a surface, aligned with the feature lines of a sketch.
 //
-// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own surface, feature lines drawn over its
-//   picture in the sketch's view; or NULL: the surface alone decides.
+// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own
+//   surface, feature lines drawn over its picture in the sketch's view; or NULL: the surface alone decides.
 // - `surface`: read only.
 // - `options`: NULL for the defaults.
 // - `field`: takes the new field.
@@ -642,17 +650,17 @@ S2pqStatus s2pq_field_vertices(const struct S2pqField *field, const double **xyz
 // `indices` and `count` are valid for writing.
 S2pqStatus s2pq_field_triangles(const struct S2pqField *field, const uint32_t **indices, size_t *count);
 
-// Directions, for each triangle u then v, unit vectors in its plane, world frame, `count` times six numbers; lent until the field is freed.
+// Directions, for each triangle u then v, unit vectors in its plane, world frame, `count` times six numbers; lent
+// until the field is freed.
 //
 // u and v carry no sign and no order from one triangle to the next: the cross u, v, -u, -v is what continues.
 //
 // Must be valid:
 // `uv` and `count` are valid for writing.
-S2pqStatus s2pq_field_directions(const struct S2pqField *field,
-                                 const double **uv,
-                                 size_t *count);
+S2pqStatus s2pq_field_directions(const struct S2pqField *field, const double **uv, size_t *count);
 
-// Singular vertices and their indices in quarter turns: +1 where three, -1 where five quads meet; lent until the field is freed.
+// Singular vertices and their indices in quarter turns: +1 where three, -1 where five quads meet; lent until the field
+// is freed.
 //
 // Must be valid:
 // `vertices`, `indices` and `count` are valid for writing.
@@ -717,8 +725,8 @@ S2pqStatus s2pq_mesh_patches(const struct S2pqMesh *mesh,
 // `xyz` and `count` are valid for writing.
 S2pqStatus s2pq_mesh_vertices(const struct S2pqMesh *mesh, const double **xyz, size_t *count);
 
-// Faces: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`, counter-clockwise seen from the surface's front; lent until
-// the mesh is freed.
+// Faces: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`, counter-clockwise seen from the
+// surface's front; lent until the mesh is freed.
 //
 // - `starts`: `count` + 1 entries.
 // - `indices`: `starts[count]` entries.
@@ -730,21 +738,19 @@ S2pqStatus s2pq_mesh_faces(const struct S2pqMesh *mesh,
                            const uint32_t **indices,
                            size_t *count);
 
-// Planarity of each face: distance of the diagonals' lines over the mesh's mean edge length; lent until the mesh is freed.
+// Planarity of each face: distance of the diagonals' lines over the mesh's mean edge length; lent until the mesh is
+// freed.
 //
 // Must be valid:
 // `values` and `count` are valid for writing.
-S2pqStatus s2pq_mesh_planarity(const struct S2pqMesh *mesh,
-                               const double **values,
-                               size_t *count);
+S2pqStatus s2pq_mesh_planarity(const struct S2pqMesh *mesh, const double **values, size_t *count);
 
-// Distance of each vertex from the surface, of border vertices from the surface's border; canvas unit; lent until the mesh is freed.
+// Distance of each vertex from the surface, of border vertices from the surface's border; canvas unit; lent until the
+// mesh is freed.
 //
 // Must be valid:
 // `values` and `count` are valid for writing.
-S2pqStatus s2pq_mesh_deviation(const struct S2pqMesh *mesh,
-                               const double **values,
-                               size_t *count);
+S2pqStatus s2pq_mesh_deviation(const struct S2pqMesh *mesh, const double **values, size_t *count);
 
 // For each vertex 1 if it lies on the mesh's border, else 0; lent until the mesh is freed.
 //

@@ -1,4 +1,5 @@
-//! The header is a golden file: what cbindgen writes from `src/ffi` must be what is committed, and C and C++ must take it.
+//! The header is a golden file: what cbindgen writes from `src/ffi` must be what is committed, and C and C++ must take
+//! it.
 //!
 //! `UPDATE_GOLDEN=1 cargo test --test header` rewrites it.
 

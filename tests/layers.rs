@@ -1,4 +1,5 @@
-//! Imports point downwards only, `ort` stays in `infer`, and `unsafe` where it belongs: this test reads the sources and keeps it so.
+//! Imports point downwards only, `ort` stays in `infer`, and `unsafe` where it belongs: this test reads the sources and
+//! keeps it so.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -16,7 +16,8 @@ use std::ffi::{CString, c_char};
 pub struct S2pqFieldOptions {
     /// sizeof(S2pqFieldOptions)
     pub struct_size: u32,
-    /// 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and smoothness alone.
+    /// 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and
+    /// smoothness alone.
     pub use_network: u32,
     /// 1: one family of directions follows the border; 0, the default: it may cross it.
     pub align_border: u32,
@@ -69,7 +70,8 @@ unsafe impl Sized32 for S2pqFieldDiagnostics {
     };
 }
 
-/// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's handle.
+/// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's
+/// handle.
 pub struct S2pqField {
     pub(super) result: FieldResult,
     vertices: Vec<f64>,
@@ -128,8 +130,8 @@ pub unsafe extern "C" fn s2pq_field_options_init(options: *mut S2pqFieldOptions,
 
 /// Finds a conjugate direction field on a surface, aligned with the feature lines of a sketch.
 ///
-/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own surface, feature lines drawn over its
-///   picture in the sketch's view; or NULL: the surface alone decides.
+/// - `sketch`: the sketch that the surface was made from, perhaps with other feature lines; or, for a host's own
+///   surface, feature lines drawn over its picture in the sketch's view; or NULL: the surface alone decides.
 /// - `surface`: read only.
 /// - `options`: NULL for the defaults.
 /// - `field`: takes the new field.
@@ -217,7 +219,8 @@ pub unsafe extern "C" fn s2pq_field_triangles(
     guard(|| lend_array(&unsafe { get(field) }?.triangles, 3, indices, count))
 }
 
-/// Directions, for each triangle u then v, unit vectors in its plane, world frame, `count` times six numbers; lent until the field is freed.
+/// Directions, for each triangle u then v, unit vectors in its plane, world frame, `count` times six numbers; lent
+/// until the field is freed.
 ///
 /// u and v carry no sign and no order from one triangle to the next: the cross u, v, -u, -v is what continues.
 ///
@@ -233,7 +236,8 @@ pub unsafe extern "C" fn s2pq_field_directions(
     guard(|| lend_array(&unsafe { get(field) }?.directions, 6, uv, count))
 }
 
-/// Singular vertices and their indices in quarter turns: +1 where three, -1 where five quads meet; lent until the field is freed.
+/// Singular vertices and their indices in quarter turns: +1 where three, -1 where five quads meet; lent until the field
+/// is freed.
 ///
 /// # Safety
 /// `vertices`, `indices` and `count` are valid for writing.

@@ -1,7 +1,8 @@
 //! Opaque handles: who is alive, and of which kind.
 //!
-//! Every handle is entered in one table when it is made and struck out when it is freed, so that a NULL, a stray pointer, a
-//! handle of another kind and a second free get an answer and not a crash: the process is someone's open document.
+//! Every handle is entered in one table when it is made and struck out when it is freed, so that a NULL, a stray
+//! pointer, a handle of another kind and a second free get an answer and not a crash: the process is someone's open
+//! document.
 
 use crate::error::Error;
 use std::collections::BTreeMap;

@@ -23,8 +23,9 @@ static VERSION: LazyLock<std::ffi::CString> = LazyLock::new(|| super::lent_text(
 
 /// The version of the ABI, 1000 * major + minor.
 ///
-/// Check on load that it equals S2PQ_ABI_VERSION: until version 1.0 every minor version may change the ABI; from then on a library serves every
-/// host of the same major version that was compiled against its own or a smaller minor version.
+/// Check on load that it equals S2PQ_ABI_VERSION: until version 1.0 every minor version may change the ABI; from then
+/// on a library serves every host of the same major version that was compiled against its own or a smaller minor
+/// version.
 #[unsafe(no_mangle)]
 pub extern "C" fn s2pq_abi_version() -> u32 {
     ABI_VERSION

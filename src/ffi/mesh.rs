@@ -35,7 +35,8 @@ pub struct S2pqMeshOptions {
     pub border: u32,
     /// Wanted number of faces over all patches, where edge_length is 0. Default 500.
     pub faces: u32,
-    /// 1: a mesh whose planarity misses the target is S2PQ_STATUS_NOT_REACHED; 0, the default: it is given with its measures.
+    /// 1: a mesh whose planarity misses the target is S2PQ_STATUS_NOT_REACHED; 0, the default: it is given with its
+    /// measures.
     pub strict: u32,
     /// Wanted edge length, canvas unit; 0, the default: chosen to give the wanted number of faces.
     pub edge_length: f64,
@@ -78,7 +79,8 @@ pub struct S2pqMeshReport {
     pub deviation_max_edges: f64,
     /// Mean edge length, canvas unit.
     pub edge_length_mean: f64,
-    /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border, in [0, 1].
+    /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border,
+    /// in [0, 1].
     pub border_covered: f64,
     /// Milliseconds of all stages together, from the sketch on.
     pub time_ms: f64,
@@ -102,7 +104,8 @@ unsafe impl Sized32 for S2pqMeshReport {
     };
 }
 
-/// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's handle.
+/// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's
+/// handle.
 pub struct S2pqMesh {
     result: MeshResult,
     vertices: Vec<f64>,
@@ -240,8 +243,8 @@ pub unsafe extern "C" fn s2pq_mesh_vertices(
     guard(|| lend_array(&unsafe { get(mesh) }?.vertices, 3, xyz, count))
 }
 
-/// Faces: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`, counter-clockwise seen from the surface's front; lent until
-/// the mesh is freed.
+/// Faces: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`, counter-clockwise seen from the
+/// surface's front; lent until the mesh is freed.
 ///
 /// - `starts`: `count` + 1 entries.
 /// - `indices`: `starts[count]` entries.
@@ -266,7 +269,8 @@ pub unsafe extern "C" fn s2pq_mesh_faces(
     })
 }
 
-/// Planarity of each face: distance of the diagonals' lines over the mesh's mean edge length; lent until the mesh is freed.
+/// Planarity of each face: distance of the diagonals' lines over the mesh's mean edge length; lent until the mesh is
+/// freed.
 ///
 /// # Safety
 /// `values` and `count` are valid for writing.
@@ -280,7 +284,8 @@ pub unsafe extern "C" fn s2pq_mesh_planarity(
     guard(|| lend_array(&unsafe { get(mesh) }?.planarity, 1, values, count))
 }
 
-/// Distance of each vertex from the surface, of border vertices from the surface's border; canvas unit; lent until the mesh is freed.
+/// Distance of each vertex from the surface, of border vertices from the surface's border; canvas unit; lent until the
+/// mesh is freed.
 ///
 /// # Safety
 /// `values` and `count` are valid for writing.

@@ -1,7 +1,8 @@
 //! The C ABI: checks pointers, calls the pipeline, lends views into its results; nothing else.
 //!
-//! `include/sketch2pq.h` is written from these files, and the doc comments of exported items are its text: they speak to C. Every fallible
-//! export is one [`guard::guard`] and nothing around it. Names of exports and the order of struct fields are stable: append only.
+//! `include/sketch2pq.h` is written from these files, and the doc comments of exported items are its text: they speak
+//! to C. Every fallible export is one [`guard::guard`] and nothing around it. Names of exports and the order of struct
+//! fields are stable: append only.
 
 #![allow(unsafe_code)]
 

@@ -24,7 +24,8 @@ fn check_size(name: &'static str, size: usize) -> Result<usize, Error> {
     }
 }
 
-/// Reads what a host gives: defaults for a tail that it does not know, an error for a tail that we do not know unless zero.
+/// Reads what a host gives: defaults for a tail that it does not know, an error for a tail that we do not know unless
+/// zero.
 ///
 /// NULL means the defaults.
 ///

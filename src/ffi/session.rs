@@ -37,7 +37,8 @@ pub struct S2pqSessionOptions {
     pub reserved: u32,
     /// File or folder of the ONNX Runtime, UTF-8, absolute; NULL: search for one. Lent for the call.
     pub runtime_path: *const c_char,
-    /// Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent for the call.
+    /// Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent
+    /// for the call.
     pub models_folder: *const c_char,
 }
 
@@ -54,16 +55,16 @@ unsafe impl Sized32 for S2pqSessionOptions {
     };
 }
 
-/// Called on the thread that called the stage, at least some times a second, with the stage's name (UTF-8, valid during the callback) and
-/// the fraction of that stage that is done, in [0, 1].
+/// Called on the thread that called the stage, at least some times a second, with the stage's name (UTF-8, valid during
+/// the callback) and the fraction of that stage that is done, in [0, 1].
 ///
 /// Must not throw, long-jump or call anything of this session but s2pq_cancel.
 pub type S2pqProgress = Option<unsafe extern "C" fn(user: *mut c_void, stage: *const c_char, fraction: f64)>;
 
 /// Loaded networks, threads, progress and cancel. Cheap to keep; made by s2pq_session_new.
 ///
-/// One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at once. Only
-/// s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
+/// One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at
+/// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
 pub struct S2pqSession {
     session: Mutex<Session>,
     control: Control,
@@ -197,8 +198,9 @@ pub unsafe extern "C" fn s2pq_session_backend(session: *const S2pqSession, text:
 
 /// Stops the call that the session is at work on, from any thread: it soon answers S2PQ_STATUS_CANCELLED.
 ///
-/// Every stage looks between its networks and in every outer iteration, some tens of milliseconds apart at most. If no call is at work, the next
-/// one is stopped; s2pq_cancel_reset forgets such a cancel. Each call forgets the cancel when it returns.
+/// Every stage looks between its networks and in every outer iteration, some tens of milliseconds apart at most. If no
+/// call is at work, the next one is stopped; s2pq_cancel_reset forgets such a cancel. Each call forgets the cancel when
+/// it returns.
 ///
 /// # Safety
 /// The session is not freed during the call.

@@ -33,7 +33,8 @@ pub enum S2pqLayer {
 
 /// Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new or s2pq_sketch_from_json.
 ///
-/// Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y down.
+/// Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y
+/// down.
 pub struct S2pqSketch {
     pub(super) sketch: Sketch,
     points: usize,
@@ -43,7 +44,8 @@ impl Handle for S2pqSketch {
     const NAME: &'static str = "S2pqSketch";
 }
 
-/// Most points and samples that a handle holds, against running out of memory; the library thins them out and has its own limits.
+/// Most points and samples that a handle holds, against running out of memory; the library thins them out and has its
+/// own limits.
 const MAX_POINTS: usize = 10_000_000;
 
 fn empty_sketch() -> Sketch {
@@ -136,7 +138,8 @@ pub unsafe extern "C" fn s2pq_sketch_set_view_axes(
 ///
 /// - `kind`: an S2pqStrokeKind.
 /// - `xy`: `point_count` times x and y, canvas frame.
-/// - A number that is not finite is S2PQ_STATUS_INVALID_SKETCH, and so is a sketch of more points than the library takes.
+/// - A number that is not finite is S2PQ_STATUS_INVALID_SKETCH, and so is a sketch of more points than the library
+///   takes.
 ///
 /// # Safety
 /// `xy` is valid for reading 2 * `point_count` numbers.
@@ -171,7 +174,8 @@ pub unsafe extern "C" fn s2pq_sketch_add_stroke(
 ///
 /// - `layer`: an S2pqLayer.
 /// - `x`, `y`: canvas point.
-/// - `depth`: distance along the view direction from the plane through the world's origin, growing away from the viewer, canvas unit.
+/// - `depth`: distance along the view direction from the plane through the world's origin, growing away from the
+///   viewer, canvas unit.
 ///
 /// # Safety
 /// `sketch` is NULL or any pointer.

@@ -20,10 +20,11 @@ pub struct S2pqSurfaceOptions {
     pub struct_size: u32,
     /// Zero.
     pub reserved: u32,
-    /// Four corners of the surface, x and y each, canvas frame, near the outline and in any order; NULL: they are found, the default. Lent
-    /// for the call. Only for a sketch with one outline.
+    /// Four corners of the surface, x and y each, canvas frame, near the outline and in any order; NULL: they are
+    /// found, the default. Lent for the call. Only for a sketch with one outline.
     pub corners: *const f64,
-    /// Smoothness against detail: 1 is balanced, 10 irons out small waves, 0.1 follows the predicted depth closely. Default 1.
+    /// Smoothness against detail: 1 is balanced, 10 irons out small waves, 0.1 follows the predicted depth closely.
+    /// Default 1.
     pub fairness: f64,
 }
 
@@ -35,8 +36,9 @@ unsafe impl Sized32 for S2pqSurfaceOptions {
 
 /// One NURBS patch, in or out. Set struct_size before every use.
 ///
-/// Knots are the textbook's: count + degree + 1, clamped. Rhino and openNURBS store the same vector without its first and last entry, count +
-/// degree - 1: pass those as they are, and read them as `knots_u + 1` with `knot_count_u - 2` entries.
+/// Knots are the textbook's: count + degree + 1, clamped. Rhino and openNURBS store the same vector without its first
+/// and last entry, count + degree - 1: pass those as they are, and read them as `knots_u + 1` with `knot_count_u - 2`
+/// entries.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct S2pqNurbs {
@@ -60,7 +62,8 @@ pub struct S2pqNurbs {
     pub knots_u: *const f64,
     /// Knots in v.
     pub knots_v: *const f64,
-    /// count_u * count_v times x, y, z, v running fastest; world frame (right-handed, z up). Not multiplied by the weights.
+    /// count_u * count_v times x, y, z, v running fastest; world frame (right-handed, z up). Not multiplied by the
+    /// weights.
     pub control_points: *const f64,
     /// count_u * count_v positive weights in the same order; NULL if all are 1.
     pub weights: *const f64,
@@ -93,7 +96,8 @@ pub struct S2pqSurfaceDiagnostics {
     pub struct_size: u32,
     /// Places of a grid over the patch where neighbouring normals point in opposite directions: folds and cusps.
     pub fold_overs: u32,
-    /// Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256 canvas that the sketch fills.
+    /// Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256
+    /// canvas that the sketch fills.
     pub reprojection_mean_px: f64,
     /// Largest of the same.
     pub reprojection_max_px: f64,
@@ -116,7 +120,8 @@ unsafe impl Sized32 for S2pqSurfaceDiagnostics {
     };
 }
 
-/// One or more NURBS patches, world frame (right-handed, z up), canvas unit. Made by sketch_to_surface or s2pq_surface_from_nurbs.
+/// One or more NURBS patches, world frame (right-handed, z up), canvas unit. Made by sketch_to_surface or
+/// s2pq_surface_from_nurbs.
 pub struct S2pqSurface {
     pub(super) result: SurfaceResult,
     views: Vec<NurbsView>,
@@ -171,8 +176,8 @@ pub unsafe extern "C" fn s2pq_surface_options_init(options: *mut S2pqSurfaceOpti
 
 /// Turns a sketch into a surface: one patch for each outline.
 ///
-/// Without depth samples the surface's lowest point has z = 0; with depth samples it passes through them. Moving or scaling the strokes moves or
-/// scales the result.
+/// Without depth samples the surface's lowest point has z = 0; with depth samples it passes through them. Moving or
+/// scaling the strokes moves or scales the result.
 ///
 /// - `sketch`: read only.
 /// - `options`: NULL for the defaults.
@@ -420,7 +425,8 @@ pub unsafe extern "C" fn s2pq_surface_diagnostics(
     })
 }
 
-/// Strokes that played no part, by their place in the sketch: too short, or drawn twice. Lent until the surface is freed.
+/// Strokes that played no part, by their place in the sketch: too short, or drawn twice. Lent until the surface is
+/// freed.
 ///
 /// # Safety
 /// `strokes` and `count` are valid for writing.
