@@ -93,6 +93,29 @@ fn broken_sketches_are_refused_with_the_reason() {
     assert!(matches!(error("sample_outside"), Error::SampleOutside { index: 0, .. }));
 }
 
+/// Hand-drawn projections of known surfaces that were once refused; only their larger regions are sure.
+#[test]
+fn unsteady_drawings_are_understood() {
+    for (name, front, back, double) in [
+        ("ear_of_ten_pixels", 2, 0, 1),
+        ("overlapping_ends", 2, 1, 1),
+        ("contour_crosses_border", 2, 0, 1),
+        ("narrow_corner", 2, 0, 1),
+        ("tiny_loop", 2, 0, 1),
+        ("contour_in_pieces", 2, 0, 1),
+        ("thin_fold", 1, 1, 1),
+        ("contour_ends_beside_corner", 2, 0, 1),
+    ] {
+        let sketch = read_sketch(&folder("tests/corpus").join(format!("{name}.json"))).unwrap();
+        let patch = understand(&sketch).unwrap_or_else(|e| panic!("{name}: {e}")).patches.remove(0);
+        let large = || patch.regions.iter().filter(|r| r.area > 0.12);
+        let side = |s: Orientation| large().filter(|r| r.visible == s).count();
+        let found =
+            (side(Orientation::Front), side(Orientation::Back), large().filter(|r| r.occluded.is_some()).count());
+        assert_eq!(found, (front, back, double), "{name}");
+    }
+}
+
 #[test]
 fn odd_but_sound_sketches_are_understood() {
     let read = |name: &str| read_sketch(&folder("tests/corpus").join(format!("{name}.json"))).unwrap();

@@ -20,6 +20,9 @@ const OVERSHOOT_PX: f64 = 12.0;
 const WELD_PX: f64 = 20.0;
 /// Areas between two lines with the same ends below this are drawing noise, px^2.
 const SLIVER_PX2: f64 = 6.0;
+/// Loops of a line with itself below this length and area are drawing noise, px and px^2.
+const LOBE_PX: f64 = 80.0;
+const LOBE_PX2: f64 = 40.0;
 /// Crossings closer than this are one, px.
 const MERGE_PX: f64 = 0.05;
 
@@ -199,8 +202,12 @@ impl Cluster {
 
     /// The two together; `None` if different curves pass through them. Ends that overlap lie on each other's lines, so a
     /// curve that passes only where it ends in this very cluster counts as an end.
-    fn joined(&self, other: &Self, total: &impl Fn(usize) -> f64) -> Option<Self> {
+    fn joined(&self, other: &Self, curves: &[Curve], total: &impl Fn(usize) -> f64) -> Option<Self> {
         let ends: Vec<usize> = self.ends.iter().chain(&other.ends).copied().collect();
+        let alone = Self { ends: ends.clone(), hits: vec![] };
+        if alone.is_complete(curves) {
+            return Some(alone);
+        }
         let passes = |hit: &(usize, Vec<f64>)| {
             !ends.iter().any(|&e| {
                 let along = if e.is_multiple_of(2) { hit.1[0] } else { total(hit.0) - hit.1[0] };
@@ -238,34 +245,56 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
     let total = |c: usize| arcs[c][arcs[c].len() - 1];
     let contacts = contacts(curves, arcs, ends);
 
-    // Nearest contacts first; a cluster that is complete takes part only if the other one needs it.
     let mut cluster_of: Vec<usize> = (0..ends.len()).collect();
     let mut clusters: Vec<Cluster> = (0..ends.len()).map(|e| Cluster { ends: vec![e], hits: vec![] }).collect();
-    for contact in &contacts {
-        let a = cluster_of[contact.end];
-        match contact.target {
-            Target::End(other) => {
-                let b = cluster_of[other];
-                if a == b
-                    || (clusters[a].is_complete(curves) && clusters[b].is_complete(curves))
-                    || joins_both_ends(&clusters[a], &clusters[b], &total)
-                {
-                    continue;
+    // A border line does not end on a contour; the contour ends on the visible border.
+    let sound = |contact: &Contact| match contact.target {
+        Target::End(_) => true,
+        Target::Interior { curve, .. } => match curves[curve].kind {
+            StrokeKind::VisibleBoundary => true,
+            StrokeKind::OccludedBoundary => curves[contact.end / 2].kind != StrokeKind::Contour,
+            StrokeKind::Contour | StrokeKind::Feature => false,
+        },
+    };
+    let mut open: Vec<&Contact> = contacts.iter().filter(|c| sound(c)).collect();
+    // Nearest contacts first. A cluster that is complete takes part only if the other one needs it: at first only where both
+    // together are complete, then in any case. After each step nearer contacts may have become possible.
+    let patience = 4_000_000 / (open.len() + 1);
+    for _ in 0..patience {
+        let step = [true, false].into_iter().find_map(|strict| {
+            (0..open.len()).find_map(|k| {
+                let a = cluster_of[open[k].end];
+                match open[k].target {
+                    Target::Interior { curve, s } => (!clusters[a].is_complete(curves)).then(|| {
+                        let mut cluster = clusters[a].clone();
+                        cluster.add_hit(curve, &[s]);
+                        (k, a, cluster)
+                    }),
+                    Target::End(other) => {
+                        let b = cluster_of[other];
+                        if a == b || joins_both_ends(&clusters[a], &clusters[b], &total) {
+                            return None;
+                        }
+                        let complete = [a, b].map(|c| clusters[c].is_complete(curves));
+                        if complete == [true, true] {
+                            return None;
+                        }
+                        let joined = clusters[a].joined(&clusters[b], curves, &total)?;
+                        let wanted = !strict || complete == [false, false] || joined.is_complete(curves);
+                        wanted.then_some((k, a, joined))
+                    }
                 }
-                let Some(joined) = clusters[a].joined(&clusters[b], &total) else { continue };
-                clusters[b] = Cluster::default();
-                for &e in &joined.ends {
-                    cluster_of[e] = a;
-                }
-                clusters[a] = joined;
-            }
-            Target::Interior { curve, s } => {
-                // A border line does not end on a contour; the contour ends on the border.
-                if curves[curve].kind != StrokeKind::Contour && !clusters[a].is_complete(curves) {
-                    clusters[a].add_hit(curve, &[s]);
-                }
-            }
+            })
+        });
+        let Some((k, a, cluster)) = step else { break };
+        if let Target::End(other) = open[k].target {
+            clusters[cluster_of[other]] = Cluster::default();
         }
+        for &e in &cluster.ends {
+            cluster_of[e] = a;
+        }
+        clusters[a] = cluster;
+        open.remove(k);
     }
     clusters.retain(|c| !c.ends.is_empty());
     clusters
@@ -365,7 +394,7 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
         nodes.push(target);
     }
     // Where ends meet the interior of a curve that itself moves, a few rounds settle; the last position is exact.
-    let mut hits: Vec<(usize, Point, usize)> = vec![];
+    let mut hits: Vec<(usize, Point, usize, [f64; 2])> = vec![];
     for round in 0..4 {
         for cluster in &clusters {
             let Some((curve, s)) = cluster.hit() else { continue };
@@ -373,7 +402,8 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
             let near = point_at(&curves[*curve].points, &arcs[*curve], s);
             let arc = arc_lengths(&points[*curve]);
             let expected = s / total(*curve) * arc[arc.len() - 1];
-            let (from, to) = (expected - 2.0 * SNAP_PX, expected + 2.0 * SNAP_PX);
+            let reach = hit_reach(cluster, *curve, expected, arc[arc.len() - 1]);
+            let (from, to) = (expected - reach, expected + reach);
             let Some((_, _, target)) = closest(&points[*curve], &arc, near, from, to) else { continue };
             for &e in &cluster.ends {
                 move_end(&mut points[e / 2], e % 2 == 0, target, SPREAD_PX);
@@ -382,7 +412,7 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
                 for &e in &cluster.ends {
                     node_of_end[e] = nodes.len();
                 }
-                hits.push((*curve, target, nodes.len()));
+                hits.push((*curve, target, nodes.len(), [from, to]));
                 nodes.push(target);
             }
         }
@@ -399,9 +429,9 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
         let arc = arc_lengths(&points[c]);
         let whole = arc[arc.len() - 1];
         let mut stops: Vec<(f64, usize)> = vec![];
-        for &(hit, position, node) in &hits {
+        for &(hit, position, node, [from, to]) in &hits {
             if hit == c
-                && let Some((_, s, _)) = closest(&points[c], &arc, position, 0.01, whole - 0.01)
+                && let Some((_, s, _)) = closest(&points[c], &arc, position, from.max(0.01), to.min(whole - 0.01))
             {
                 stops.push((s, node));
             }
@@ -420,6 +450,13 @@ fn snap(curves: &[Curve], nodes: &mut Vec<Point>) -> Vec<Piece> {
         }
     }
     pieces
+}
+
+/// How far along a curve from where others end on it to look for that place again; not as far as the curve's own end, if
+/// that end is there as well.
+fn hit_reach(cluster: &Cluster, curve: usize, s: f64, whole: f64) -> f64 {
+    let own = cluster.ends.iter().filter(|&&e| e / 2 == curve);
+    own.map(|e| 0.6 * if e.is_multiple_of(2) { s } else { whole - s }).fold(2.0 * SNAP_PX, f64::min)
 }
 
 /// Whether joining would bring both ends of a short curve together.
@@ -709,6 +746,7 @@ fn prune(mut edges: Vec<Edge>, nodes: &[Point]) -> Result<Vec<Edge>, Flaw> {
         let before = edges.len();
         edges.retain(|e| e.nodes[0] != e.nodes[1] || signed_area(&e.points[..e.points.len() - 1]).abs() >= SLIVER_PX2);
         remove_slivers(&mut edges);
+        remove_lobes(&mut edges);
         trim_overshoots(&mut edges, nodes.len());
         if edges.len() == before {
             break;
@@ -807,6 +845,47 @@ fn remove_slivers(edges: &mut Vec<Edge>) {
                 branches.extend(after);
                 removed[drop] = true;
                 edges[keep].kind = kind;
+            }
+        }
+    }
+    let mut k = 0;
+    edges.retain(|_| {
+        k += 1;
+        !removed[k - 1]
+    });
+}
+
+/// Removes small loops that a line makes with itself, as at a narrow corner whose sides cross.
+fn remove_lobes(edges: &mut Vec<Edge>) {
+    let mut at_node: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, e) in edges.iter().enumerate() {
+        at_node.entry(e.nodes[0]).or_default().push(2 * i);
+        at_node.entry(e.nodes[1]).or_default().push(2 * i + 1);
+    }
+    let mut removed = vec![false; edges.len()];
+    for (&node, leaving) in at_node.iter().filter(|(_, l)| l.len() >= 4) {
+        for &start in leaving {
+            let (mut h, mut ring, mut loop_edges) = (start, vec![], vec![]);
+            let closed = loop {
+                let edge = &edges[h / 2];
+                if removed[h / 2] || edge.kind != edges[start / 2].kind || length(&ring) > LOBE_PX {
+                    break false;
+                }
+                loop_edges.push(h / 2);
+                ring.extend(
+                    (0..edge.points.len()).map(|i| edge.points[if h % 2 == 0 { i } else { edge.points.len() - 1 - i }]),
+                );
+                let end = edge.nodes[1 - h % 2];
+                if end == node {
+                    break true;
+                }
+                match at_node[&end][..] {
+                    [a, b] => h = if a == (h ^ 1) { b } else { a },
+                    _ => break false,
+                }
+            };
+            if closed && length(&ring) < LOBE_PX && signed_area(&ring).abs() < LOBE_PX2 {
+                loop_edges.iter().for_each(|&e| removed[e] = true);
             }
         }
     }
@@ -936,24 +1015,26 @@ fn faces(edges: Vec<Edge>, nodes: Vec<Point>) -> Arrangement {
     arrangement
 }
 
-/// Widest area between a contour and a border line that run side by side in the wrong order, px.
+/// Widest area between two lines that run side by side in the wrong order, px.
 const TANGLE_PX: f64 = 5.0;
 
-/// Where a contour and a border close behind it cross by the unsteadiness of the hand, the outer one is the contour.
+/// Where an occluded boundary crosses the line just in front of it by the unsteadiness of the hand, the outer one is that
+/// line.
 fn untangle(arrangement: &mut Arrangement) {
     for f in 1..arrangement.faces.len() {
         let [cycle] = &arrangement.faces[f].cycles[..] else { continue };
         let &[g, h] = &cycle[..] else { continue };
-        let (contour, border) = if arrangement.edges[g / 2].kind == StrokeKind::Contour { (g, h) } else { (h, g) };
-        let kinds = [contour, border].map(|h| arrangement.edges[h / 2].kind);
-        let outside = [contour, border].map(|h| arrangement.face_of[h ^ 1] == 0);
-        let longer = length(&arrangement.edges[border / 2].points);
-        if kinds == [StrokeKind::Contour, StrokeKind::OccludedBoundary]
+        let is_occluded = |h: usize| arrangement.edges[h / 2].kind == StrokeKind::OccludedBoundary;
+        let (front, behind) = if is_occluded(h) { (g, h) } else { (h, g) };
+        let outside = [front, behind].map(|h| arrangement.face_of[h ^ 1] == 0);
+        let long = length(&arrangement.edges[behind / 2].points);
+        if is_occluded(behind)
+            && !is_occluded(front)
             && outside == [false, true]
-            && arrangement.faces[f].area < TANGLE_PX * longer
+            && arrangement.faces[f].area < TANGLE_PX * long
         {
-            arrangement.edges[contour / 2].kind = StrokeKind::OccludedBoundary;
-            arrangement.edges[border / 2].kind = StrokeKind::Contour;
+            arrangement.edges[behind / 2].kind = arrangement.edges[front / 2].kind;
+            arrangement.edges[front / 2].kind = StrokeKind::OccludedBoundary;
         }
     }
 }
