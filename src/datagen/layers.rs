@@ -1,7 +1,7 @@
 //! The layers of a projected surface: first and second surface point along the view ray of each pixel.
 
-use super::grid::Grid;
 use super::{Reason, Rejection};
+use nalgebra::Point3;
 
 /// Half side of the square that the canvas covers in the canonical frame.
 pub(super) const HALF: f64 = 4.0 * 256.0 / 232.0;
@@ -42,24 +42,22 @@ pub(super) fn pixel_of(n: usize, p: [f64; 2]) -> Option<usize> {
 }
 
 impl Layers {
-    /// Intersects the view rays of all pixel centres with the triangulated `grid` (canonical frame).
-    pub fn new(grid: &Grid, n: usize) -> Self {
+    /// Intersects the view rays of all pixel centres with a triangulated surface.
+    ///
+    /// `grid`: (m + 1)^2 points of the surface at regular parameters, v running fastest, canonical frame.
+    pub fn new(grid: &[Point3<f64>], n: usize) -> Self {
         let mut layers = Self { n, hits: vec![[None; 2]; n * n], overfull: 0 };
         let mut count = vec![0u8; n * n];
         let size = 2.0 * HALF / n as f64;
-        let cells = grid.n as f64;
-        let vertices = (grid.n + 1).pow(2);
+        let m = grid.len().isqrt().max(2) - 1;
+        let cells = m as f64;
         // Pixel coordinates of every vertex, pixel centres at integers.
-        let screen: Vec<[f64; 2]> = (0..vertices)
-            .map(|k| {
-                let p = grid.position[k];
-                [(p.x + HALF) / size - 0.5, (HALF - p.y) / size - 0.5]
-            })
-            .collect();
-        for i in 0..grid.n {
-            for j in 0..grid.n {
+        let screen: Vec<[f64; 2]> =
+            grid.iter().map(|p| [(p.x + HALF) / size - 0.5, (HALF - p.y) / size - 0.5]).collect();
+        for i in 0..m {
+            for j in 0..m {
                 for corners in [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]] {
-                    let index = corners.map(|(a, b)| grid.index(i + a, j + b));
+                    let index = corners.map(|(a, b)| (i + a) * (m + 1) + j + b);
                     let [a, b, c] = index.map(|k| screen[k]);
                     // Screen y points down, so that a triangle that faces the viewer has negative area here.
                     let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
@@ -84,7 +82,7 @@ impl Layers {
                             }
                             let mix = |f: &dyn Fn(usize) -> f64| (0..3).map(|k| weight[k] * f(k)).sum::<f64>();
                             let hit = Hit {
-                                z: mix(&|k| grid.position[index[k]].z),
+                                z: mix(&|k| grid[index[k]].z),
                                 uv: [
                                     mix(&|k| (i + corners[k].0) as f64) / cells,
                                     mix(&|k| (j + corners[k].1) as f64) / cells,

@@ -10,6 +10,7 @@
 mod directions;
 mod grid;
 mod layers;
+mod natural;
 mod preview;
 mod project;
 mod reading;
@@ -41,9 +42,10 @@ pub const MAP: usize = 64;
 /// Tries before a seed is given up.
 const MAX_ATTEMPTS: u32 = 120;
 /// Tries in which a seed insists on its dice for occlusion.
-const INSISTING_ATTEMPTS: u32 = 40;
-/// Tries with other views before the surface is changed, where several views share a surface.
-const VIEWS_PER_CANDIDATE: u32 = 6;
+const INSISTING_ATTEMPTS: u32 = 60;
+/// Tries with other views before the surface is changed, where several seeds share a surface, and where none do.
+const SHARED_VIEWS_PER_CANDIDATE: u32 = 6;
+const OWN_VIEWS_PER_CANDIDATE: u32 = 3;
 
 /// Why a surface in a view was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -70,6 +72,10 @@ pub enum Reason {
     Tiny,
     /// The visibility of the border does not close up.
     Inconsistent,
+    /// There is no smooth conjugate field.
+    Field,
+    /// The corners that the sketch code chooses do not fit the surface's border.
+    Corners,
     /// The sketch code cannot make one patch of the strokes.
     Unread,
     /// The sketch code reads other regions than the surface has.
@@ -78,7 +84,7 @@ pub enum Reason {
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Surface,
         Self::Slender,
         Self::Ambiguous,
@@ -90,6 +96,8 @@ impl Reason {
         Self::SelfIntersection,
         Self::Tiny,
         Self::Inconsistent,
+        Self::Field,
+        Self::Corners,
         Self::Unread,
         Self::Misread,
     ];
@@ -108,6 +116,8 @@ impl Reason {
             Self::SelfIntersection => "self_intersection",
             Self::Tiny => "tiny",
             Self::Inconsistent => "inconsistent",
+            Self::Field => "field",
+            Self::Corners => "corners",
             Self::Unread => "unread",
             Self::Misread => "misread",
         }
@@ -128,7 +138,8 @@ pub struct Sample {
     /// Kind of surface.
     pub family: Family,
     /// The surface in the canonical frame of the sketch, its z moved so that the depth reference is 0; its front side is that
-    /// of S_u x S_v and control point (0, 0) is the corner nearest to the upper left.
+    /// of S_u x S_v. Corners as the sketch code chooses them on the drawn border, (0, 0) the one nearest to the upper left;
+    /// the border runs by chord length in space.
     pub surface: NurbsSurface,
     /// The strokes on a canvas of 256 x 256 pixels, y down, with 0 to 6 depth samples.
     pub sketch: Sketch,
@@ -174,19 +185,40 @@ pub fn sample(seed: u64, options: &Options) -> Result<Sample, Rejection> {
     let mut own = dice(seed, 1, 0);
     let wants_occlusion = own.random_bool(options.occluded_share.clamp(0.0, 1.0));
     let mut rejected = [0; Reason::ALL.len()];
+    let family = draw_family(&options.shares, &mut dice(surface_id, 2, 0));
+    let views = if rotations > 1 { SHARED_VIEWS_PER_CANDIDATE } else { OWN_VIEWS_PER_CANDIDATE };
     let mut last = Rejection(Reason::Surface);
-    for attempt in 0..MAX_ATTEMPTS {
-        let candidate = if rotations > 1 { attempt / VIEWS_PER_CANDIDATE } else { attempt };
-        let wish = (attempt < INSISTING_ATTEMPTS).then_some(wants_occlusion);
-        match attempt_sample(seed, surface_id, candidate, attempt, wish, options) {
-            Ok(sample) => return Ok(Sample { rejected, ..sample }),
-            Err(rejection) => {
-                rejected[Reason::ALL.iter().position(|&r| r == rejection.0).unwrap_or(0)] += 1;
-                last = rejection;
+    let mut attempt = 0;
+    for candidate in 0..MAX_ATTEMPTS {
+        let mut refuse = |rejection: Rejection| {
+            rejected[Reason::ALL.iter().position(|&r| r == rejection.0).unwrap_or(0)] += 1;
+            last = rejection;
+        };
+        let Some(world) = surfaces::random_surface(family, &mut dice(surface_id, 3, candidate)) else {
+            refuse(Rejection(Reason::Surface));
+            continue;
+        };
+        for _ in 0..views {
+            let wish = (attempt < INSISTING_ATTEMPTS).then_some(wants_occlusion);
+            let identity = Identity { seed, surface_id, family };
+            match view_sample(&world, identity, &mut dice(seed, 4, attempt), wish, options) {
+                Ok(sample) => return Ok(Sample { rejected, ..sample }),
+                Err(rejection) => refuse(rejection),
             }
+            attempt += 1;
+        }
+        if attempt >= MAX_ATTEMPTS {
+            break;
         }
     }
     Err(last)
+}
+
+/// What a sample inherits.
+struct Identity {
+    seed: u64,
+    surface_id: u64,
+    family: Family,
 }
 
 fn tables() -> &'static [BasisTable; 2] {
@@ -207,16 +239,16 @@ fn draw_family(shares: &[f64; 8], rng: &mut ChaCha8Rng) -> Family {
     Family::Freeform
 }
 
-/// Control net seen along -z: rotated about the vertical, turned into the camera frame, scaled into the canonical square.
-fn view_net(surface: &NurbsSurface, azimuth: f64, view: &View) -> (Vec<Point3<f64>>, f64) {
+/// Control net seen along -z: rotated about the vertical, turned into the camera frame, scaled into the canonical square; its
+/// coarse grid and the scale. `None` if the view has no extent.
+fn view_net(surface: &NurbsSurface, azimuth: f64, view: &View) -> Option<(Vec<Point3<f64>>, Grid, f64)> {
     let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), azimuth);
     let mut net: Vec<Point3<f64>> =
         surface.control_points().iter().map(|p| view.world_to_camera(&(turn * p))).collect();
-    let grid = Grid::new(&net, &tables()[0]);
-    let frame = CanonicalFrame::fitting(grid.position.iter().map(|p| [p.x, p.y]));
-    let frame = frame.unwrap_or(CanonicalFrame { center: [0.0; 2], scale: 1.0 });
-    net.iter_mut().for_each(|p| *p = frame.point_from_camera(p));
-    (net, frame.scale)
+    let mut grid = Grid::new(&net, &tables()[0]);
+    let frame = CanonicalFrame::fitting(grid.position.iter().map(|p| [p.x, p.y]))?;
+    net.iter_mut().chain(&mut grid.position).for_each(|p| *p = frame.point_from_camera(p));
+    Some((net, grid, frame.scale))
 }
 
 /// The net with u and v exchanged.
@@ -241,35 +273,29 @@ fn relabel(mut net: Vec<Point3<f64>>) -> Vec<Point3<f64>> {
     net
 }
 
-fn attempt_sample(
-    seed: u64,
-    surface_id: u64,
-    candidate: u32,
-    attempt: u32,
+/// One view of a surface as a sample.
+fn view_sample(
+    world: &NurbsSurface,
+    Identity { seed, surface_id, family }: Identity,
+    rng: &mut ChaCha8Rng,
     wants_occlusion: Option<bool>,
     options: &Options,
 ) -> Result<Sample, Rejection> {
     let refuse = |reason: Reason| Err(Rejection(reason));
-    let family = draw_family(&options.shares, &mut dice(surface_id, 2, 0));
-    let mut shape_dice = dice(surface_id, 3, candidate);
-    let Some(world) = surfaces::random_surface(family, &mut shape_dice) else { return refuse(Reason::Surface) };
-
-    let mut rng = dice(seed, 4, attempt);
     let azimuth = rng.random_range(0.0..std::f64::consts::TAU);
     let [low, high] = options.elevation_deg;
     let elevation_deg = if high > low { rng.random_range(low..high) } else { low };
     let Ok(view) = View::from_angles(45.0, elevation_deg, true) else { return refuse(Reason::Surface) };
 
     // A coarse look first: most tries end here.
-    let (net, scale) = view_net(&world, azimuth, &view);
-    let coarse = Grid::new(&net, &tables()[0]);
+    let (net, coarse, scale) = view_net(world, azimuth, &view).ok_or(Rejection(Reason::Surface))?;
     let (mut low, mut high) = (coarse.position[0], coarse.position[0]);
     for p in &coarse.position {
         low = low.inf(p);
         high = high.sup(p);
     }
     let size = high - low;
-    let layers = Layers::new(&coarse, 72);
+    let layers = Layers::new(&coarse.position, 72);
     if layers.overfull > 4 {
         return refuse(Reason::TooManyLayers);
     }
@@ -279,7 +305,9 @@ fn attempt_sample(
     if size.x.min(size.y) < 0.28 * size.x.max(size.y) || filled < 0.38 * size.x * size.y {
         return refuse(Reason::Slender);
     }
-    if wants_occlusion.is_some_and(|wish| wish != (double > 8)) {
+    // Most occluded parts should be large enough to mean something: at least 450 of the canvas' pixels.
+    let enough = if rng.random_bool(0.7) { 36 } else { 8 };
+    if wants_occlusion.is_some_and(|wish| if wish { double < enough } else { double > 8 }) {
         return refuse(Reason::Occlusion);
     }
     if (front.min(back) as f64) > 0.42 * (front + back) as f64 {
@@ -292,7 +320,7 @@ fn attempt_sample(
     let Ok(surface) = NurbsSurface::uniform(3, [NET, NET], net) else { return refuse(Reason::Surface) };
     let grid = Grid::new(surface.control_points(), &tables()[1]);
     let structure = Structure::new(&surface, &grid)?;
-    let layers = Layers::new(&grid, 256);
+    let layers = Layers::new(&grid.position, 256);
     if layers.overfull > 12 {
         return refuse(Reason::TooManyLayers);
     }
@@ -311,12 +339,12 @@ fn attempt_sample(
     }
 
     let by_parameters = family.has_conjugate_parameters() && rng.random_bool(0.6);
-    let directions = Directions::random(&surface, by_parameters, &mut rng);
-    lines.extend(feature_lines(&surface, &directions, &layers, &mut rng));
+    let directions = Directions::random(&surface, by_parameters, rng)?;
+    lines.extend(feature_lines(&surface, &directions, &layers, rng));
     let noisy = rng.random_bool(options.noise_share.clamp(0.0, 1.0));
     if noisy {
         let size = rng.random_range(0.4..1.2);
-        strokes::draw_by_hand(&mut lines, size, &mut rng);
+        strokes::draw_by_hand(&mut lines, size, rng);
     }
     let mut sketch =
         Sketch { name: format!("seed_{seed}"), canvas_size: [256.0; 2], view, strokes: lines, depth_samples: vec![] };
@@ -331,12 +359,14 @@ fn attempt_sample(
         Point3::new(x, y, p.z * strokes::PIXELS_PER_UNIT * frame.scale)
     };
     let moved = surface.mapped(to_frame);
-    let fine = Grid::new(moved.control_points(), &tables()[1]);
-    reading::check(&patch, &Layers::new(&fine, 256), noisy)?;
-    let maps = Maps::new(&moved, &fine, &directions, cotangent);
+    let positions: Vec<Point3<f64>> = grid.position.iter().map(to_frame).collect();
+    reading::check(&patch, &Layers::new(&positions, 256), noisy)?;
+    let net = natural::natural_net(&moved, &patch, |t| structure.is_hidden(t))?;
+    let maps = Maps::new(&moved, &positions, &directions, cotangent);
     // depth - y cot e - reference = 0 on the mean: the reference moves into z.
-    let surface = moved.mapped(|p| Point3::new(p.x, p.y, p.z + maps.reference));
-    sketch.depth_samples = depth_samples(&maps, &frame, &view, cotangent, &mut rng);
+    let net = net.iter().map(|p| Point3::new(p.x, p.y, p.z + maps.reference)).collect();
+    let Ok(surface) = NurbsSurface::uniform(3, [NET, NET], net) else { return refuse(Reason::Surface) };
+    sketch.depth_samples = depth_samples(&maps, &frame, &view, cotangent, rng);
     Ok(Sample {
         seed,
         surface_id,
@@ -423,4 +453,143 @@ fn depth_samples(
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Patch about the top of a sphere of radius 2.5 that reaches 75 degrees down, seen at 45 degrees: along -z.
+    fn sphere() -> NurbsSurface {
+        let view = View::from_angles(45.0, 45.0, true).unwrap();
+        let greville = surfaces::greville(NET);
+        let points: Vec<Point3<f64>> = greville
+            .iter()
+            .flat_map(|&u| greville.iter().map(move |&v| (u, v)))
+            .map(|(u, v)| {
+                let [a, b] = [u, v].map(|s| (75f64.to_radians() * (2.0 * s - 1.0)).tan());
+                view.world_to_camera(&Point3::from(Vector3::new(a, b, 1.0).normalize() * 2.5))
+            })
+            .collect();
+        NurbsSurface::uniform(3, [NET, NET], surfaces::interpolate_samples(&points)).unwrap()
+    }
+
+    #[test]
+    fn the_contour_of_a_sphere_is_its_great_circle() {
+        let surface = sphere();
+        let grid = Grid::new(surface.control_points(), &tables()[1]);
+        let structure = Structure::new(&surface, &grid).unwrap();
+        assert_eq!(structure.contours.len(), 1);
+        for p in &structure.contours[0] {
+            assert!(p.z.abs() < 5e-3 && (p.x.hypot(p.y) - 2.5).abs() < 2e-3, "{p}");
+        }
+        // The far part of the border is hidden, from one end of the contour to the other.
+        let hidden: Vec<&project::Piece> = structure.border.iter().filter(|p| p.hidden).collect();
+        let ends = [structure.contours[0][0], structure.contours[0][structure.contours[0].len() - 1]];
+        for end in ends {
+            let distance = |p: &Point3<f64>| (p - end).norm();
+            let touches =
+                |p: &&&project::Piece| distance(&p.points[0]).min(distance(&p.points[p.points.len() - 1])) < 1e-9;
+            assert_eq!(hidden.iter().filter(touches).count(), 1);
+        }
+    }
+
+    #[test]
+    fn maps_hold_the_depth_and_normals_of_a_sphere() {
+        let surface = sphere();
+        let grid = Grid::new(surface.control_points(), &tables()[1]);
+        let directions = Directions::random(&surface, false, &mut dice(0, 0, 0)).unwrap();
+        let maps = Maps::new(&surface, &grid.position, &directions, 1.0);
+        let (mut seen, mut hidden) = (0, 0);
+        for slot in 0..2 * MAP * MAP {
+            if maps.valid[slot] == 0 {
+                continue;
+            }
+            let (layer, pixel) = (slot / (MAP * MAP), slot % (MAP * MAP));
+            let [x, y] = layers::pixel_center(MAP, pixel / MAP, pixel % MAP);
+            let z = (6.25 - x * x - y * y).max(0.0).sqrt() * if layer == 0 { 1.0 } else { -1.0 };
+            let h = -z - y - maps.reference;
+            // Near the contour depth changes without bound within a pixel.
+            if z.abs() > 0.3 {
+                assert!((f64::from(maps.depth[slot]) - h).abs() < 1e-3, "{x} {y} {layer}: {} {h}", maps.depth[slot]);
+                let n: f64 = (0..3)
+                    .map(|a| f64::from(maps.normal[(layer * 3 + a) * MAP * MAP + pixel]) * [x, y, z][a] / 2.5)
+                    .sum();
+                assert!(n > 0.9999);
+            }
+            assert_eq!(maps.valid[slot], if layer == 0 { 1 } else { 2 });
+            seen += usize::from(layer == 0);
+            hidden += usize::from(layer == 1);
+        }
+        assert!(seen > 700 && hidden > 20);
+        assert!(maps.conjugacy < 1e-3);
+    }
+
+    #[test]
+    fn samples_keep_their_promises() {
+        let options = Options::default();
+        for seed in 0..6 {
+            let sample = sample(seed, &options).unwrap();
+            let net = sample.surface.control_points();
+            let corners = [net[0], net[NET - 1], net[NET * NET - 1], net[NET * (NET - 1)]];
+            assert!(corners.iter().all(|c| c.y - c.x <= net[0].y - net[0].x + 1e-9));
+            assert!(sample.maps.conjugacy < 1e-3);
+            assert_eq!(sample.occluded, sample.maps.valid[MAP * MAP..].iter().any(|&v| v > 0));
+            // Sides run by chord length in space.
+            let step = |a: f64| {
+                let d = sample.surface.point(a, 0.0) - sample.surface.point(a + 0.05, 0.0);
+                d.norm()
+            };
+            assert!((step(0.2) / step(0.7) - 1.0).abs() < 0.15, "seed {seed}");
+            // Inside the layers that the sketch code reads, the maps agree with it and with the net.
+            let covered = |k: usize| sample.raster.visible_coverage(k) > 0.99;
+            let mut off = 0;
+            for pixel in (0..MAP * MAP).filter(|&k| covered(k)) {
+                off += usize::from(sample.maps.valid[pixel] == 0);
+            }
+            assert!(off < 20, "seed {seed}: {off}");
+            let visible: Vec<f64> =
+                (0..MAP * MAP).filter(|&k| sample.maps.valid[k] > 0).map(|k| f64::from(sample.maps.depth[k])).collect();
+            assert!((visible.iter().sum::<f64>() / visible.len() as f64).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn the_net_goes_through_the_depth_maps() {
+        let options = Options { noise_share: 0.0, ..Options::default() };
+        for seed in 10..13 {
+            let sample = sample(seed, &options).unwrap();
+            let grid = Grid::new(sample.surface.control_points(), &tables()[1]);
+            let layers = Layers::new(&grid.position, MAP);
+            let cotangent = 1.0 / sample.elevation_deg.to_radians().tan();
+            let mut errors = vec![];
+            for pixel in 0..MAP * MAP {
+                if let (Some(hit), true) = (layers.hits[pixel][0], sample.maps.valid[pixel] > 0) {
+                    let [_, y] = layers::pixel_center(MAP, pixel / MAP, pixel % MAP);
+                    errors.push((-hit.z - y * cotangent - f64::from(sample.maps.depth[pixel])).abs());
+                }
+            }
+            errors.sort_by(f64::total_cmp);
+            assert!(errors[errors.len() / 2] < 3e-3 && errors[errors.len() * 95 / 100] < 0.03, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = |threads: usize| {
+            let out = folder.path().join(format!("{threads}"));
+            let options = Options { seeds: 100..105, out: out.clone(), threads, shard_size: 3, ..Options::default() };
+            generate(&options, &crate::control::Control::default()).unwrap();
+            out
+        };
+        let (one, two) = (run(1), run(2));
+        for shard in ["shard_00033", "shard_00034"] {
+            for name in ["strokes.npy", "valid.npy", "depth.npy", "normal.npy", "control.npy", "cdf.npy", "meta.jsonl"]
+            {
+                let read = |out: &std::path::Path| std::fs::read(out.join(shard).join(name)).unwrap();
+                assert!(read(&one) == read(&two), "{shard}/{name}");
+            }
+        }
+    }
 }

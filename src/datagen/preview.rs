@@ -1,6 +1,7 @@
 //! Contact sheets: what the generator drew, for human eyes.
 
-use super::{MAP, Sample};
+use super::strokes::to_canvas;
+use super::{MAP, NET, Sample};
 use crate::error::Error;
 use std::path::Path;
 use tiny_skia::{Color, Paint, PathBuilder, Pixmap, Stroke, Transform};
@@ -24,6 +25,7 @@ pub(super) fn write_sheet(path: &Path, samples: &[Sample]) -> Result<(), Error> 
         for layer in 0..2 {
             normals(&mut sheet, sample, layer, x + (1 + layer as u32) * TILE, y);
         }
+        net(&mut sheet, sample, (x + TILE) as f32, y as f32);
         depth(&mut sheet, sample, x + 3 * TILE, y);
         directions(&mut sheet, sample, (x + 3 * TILE) as f32, y as f32);
         strokes(&mut sheet, sample, x as f32, y as f32);
@@ -55,6 +57,21 @@ fn strokes(sheet: &mut Pixmap, sample: &Sample, x: f32, y: f32) {
             line(sheet, &[[end[0] - 2.0, end[1]], [end[0] + 2.0, end[1]]], [90, 90, 90], 4.0);
         }
     }
+}
+
+/// Every third parameter line of the control net, and its first corner.
+fn net(sheet: &mut Pixmap, sample: &Sample, x: f32, y: f32) {
+    let at = |i: usize, j: usize| {
+        let p = sample.surface.control_points()[i * NET + j];
+        let [px, py] = to_canvas([p.x, p.y]);
+        [x + px as f32, y + py as f32]
+    };
+    for k in [0, 3, 6, 9, 12, 14, 15, 17, 20, 23, 26, 29] {
+        let lines: [Vec<[f32; 2]>; 2] = [(0..NET).map(|m| at(k, m)).collect(), (0..NET).map(|m| at(m, k)).collect()];
+        lines.iter().for_each(|points| line(sheet, points, [255, 255, 255], 0.6));
+    }
+    let corner = at(0, 0);
+    line(sheet, &[[corner[0] - 4.0, corner[1]], [corner[0] + 4.0, corner[1]]], [230, 0, 0], 8.0);
 }
 
 /// Fills one map pixel.

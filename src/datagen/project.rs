@@ -25,6 +25,8 @@ pub(super) struct Structure {
     pub border: Vec<Piece>,
     /// Contours; ends lie on the border.
     pub contours: Vec<Vec<Point3<f64>>>,
+    /// Border positions where the visibility changes, in order, and whether the border is hidden from there on.
+    changes: Vec<(f64, bool)>,
 }
 
 /// Where n . view = 0: S_u x S_v has no z component there.
@@ -119,7 +121,16 @@ impl Structure {
             .iter()
             .map(|fold| fold.iter().map(|&[u, v]| surface.point(u, v)).collect::<Vec<Point3<f64>>>())
             .collect();
-        Ok(Self { border, contours })
+        let changes = events.iter().zip(hidden_from).map(|(e, hidden)| (e.0, hidden)).collect();
+        Ok(Self { border, contours, changes })
+    }
+
+    /// Whether the border at position t is hidden.
+    pub fn is_hidden(&self, t: f64) -> bool {
+        let t = t.rem_euclid(4.0);
+        let after = self.changes.partition_point(|c| c.0 <= t);
+        let last = if after > 0 { self.changes.get(after - 1) } else { self.changes.last() };
+        last.is_some_and(|c| c.1)
     }
 }
 

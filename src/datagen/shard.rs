@@ -52,9 +52,10 @@ impl Default for Options {
     }
 }
 
-/// What came out of a run, over all shards of the folder.
+/// What came out of one shard.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Statistics {
+    seeds: [u64; 2],
     samples: u64,
     failed: u64,
     occluded: u64,
@@ -71,8 +72,22 @@ fn file_error(path: &Path, error: impl std::fmt::Display) -> Error {
 
 /// Writes all samples of the seeds to `options.out`, shard by shard.
 ///
-/// Finished shards are kept as they are, so that a run that was stopped goes on where it ended. Layout and types of the
-/// arrays are described in `training/README.md`.
+/// Shard k, folder `shard_0000k`, holds the seeds from k `shard_size` on; finished shards are kept as they are, so that a run
+/// that was stopped goes on where it ended. `index.json` lists the finished ones, `stats.json` adds up what they are made
+/// of and what was refused. A shard of N samples has these NumPy arrays (maps of 64 x 64, row 0 at the top, layers visible
+/// and occluded):
+///
+/// | file | type, shape | content |
+/// | --- | --- | --- |
+/// | `strokes.npy` | u8, N 10 64 64 | the channels of [`crate::sketch::rasterize`]: 255 x; the last two 127 x + 128 |
+/// | `valid.npy` | u8, N 2 64 64 | 0 none, 1 front, 2 back, see [`super::Maps`] |
+/// | `depth.npy` | f16, N 2 64 64 | offset from the horizontal reference, mean 0 over the visible pixels |
+/// | `normal.npy` | i8, N 2 3 64 64 | 127 times the outward normal in the canonical frame |
+/// | `cdf.npy` | i8, N 2 4 64 64 | 127 times the conjugate directions ux, uy, vx, vy on the canvas, y up |
+/// | `control.npy` | f32, N 30 30 3 | control points (x, y, h), u is the row; h as in `depth.npy` |
+///
+/// and one line of JSON for each sample in `meta.jsonl`: `seed`, `surface` (shared by seeds that may show the same surface:
+/// split by it), `family`, `azimuth`, `elevation`, `occluded`, `noisy`, `scale`, `conjugacy`. About 130 kB a sample.
 ///
 /// # Errors
 /// [`Error::File`] if the folder cannot be written, [`Error::Argument`] for an empty range, [`Error::Cancelled`].
@@ -93,21 +108,28 @@ pub fn generate(options: &Options, control: &Control) -> Result<(), Error> {
             pool.install(|| seeds.par_iter().filter_map(|&seed| sample(seed, options).ok()).collect());
         preview::write_sheet(path, &samples)?;
     }
-    let count = (options.seeds.end - options.seeds.start).div_ceil(options.shard_size);
-    let mut shards = vec![];
-    for shard in 0..count {
-        control.step("generate", shard as f64 / count as f64)?;
-        let start = options.seeds.start + shard * options.shard_size;
-        let seeds = start..(start + options.shard_size).min(options.seeds.end);
-        let name = format!("shard_{:05}", start / options.shard_size);
-        let folder = options.out.join(&name);
-        if !folder.join("stats.json").is_file() {
-            write_shard(&pool, options, control, seeds, &folder, shard as f64 / count as f64, 1.0 / count as f64)?;
+    // Shards lie at multiples of their size, so that runs over other ranges of seeds fit together.
+    let numbers = options.seeds.start / options.shard_size..options.seeds.end.div_ceil(options.shard_size);
+    let count = (numbers.end - numbers.start) as f64;
+    for number in numbers.clone() {
+        let done = (number - numbers.start) as f64 / count;
+        control.step("generate", done)?;
+        let start = number * options.shard_size;
+        let seeds = start.max(options.seeds.start)..(start + options.shard_size).min(options.seeds.end);
+        let folder = options.out.join(format!("shard_{number:05}"));
+        if !holds(&folder, &seeds) {
+            write_shard(&pool, options, control, seeds, &folder, done, 1.0 / count)?;
         }
-        shards.push(name);
         write_index(&options.out)?;
     }
     control.step("generate", 1.0)
+}
+
+/// Whether the folder is a finished shard of these seeds.
+fn holds(folder: &Path, seeds: &Range<u64>) -> bool {
+    let Ok(text) = fs::read_to_string(folder.join("stats.json")) else { return false };
+    let Ok(stats) = serde_json::from_str::<serde_json::Value>(&text) else { return false };
+    stats["seeds"][0].as_u64() == Some(seeds.start) && stats["seeds"][1].as_u64() == Some(seeds.end)
 }
 
 /// Replaces `path` in one step, so that no reader sees half a file.
@@ -148,13 +170,14 @@ fn add_statistics(total: &mut serde_json::Map<String, serde_json::Value>, stats:
                     add_statistics(entry, value);
                 }
             }
-            number => {
+            number if number.is_number() => {
                 let entry = total.entry(key.clone()).or_insert_with(|| serde_json::json!(0));
                 *entry = match (entry.as_u64(), number.as_u64()) {
                     (Some(a), Some(b)) => serde_json::json!(a + b),
                     _ => serde_json::json!(entry.as_f64().unwrap_or(0.0) + number.as_f64().unwrap_or(0.0)),
                 };
             }
+            _ => {}
         }
     }
 }
@@ -168,9 +191,9 @@ fn write_shard(
     done: f64,
     share: f64,
 ) -> Result<(), Error> {
+    let mut statistics = Statistics { seeds: [seeds.start, seeds.end], ..Statistics::default() };
     let all: Vec<u64> = seeds.collect();
     let mut samples = Vec::with_capacity(all.len());
-    let mut statistics = Statistics::default();
     for (k, chunk) in all.chunks(64).enumerate() {
         control.step("generate", done + share * (k * 64) as f64 / all.len() as f64)?;
         let made: Vec<_> = pool.install(|| chunk.par_iter().map(|&seed| sample(seed, options)).collect());
@@ -284,7 +307,7 @@ impl Statistics {
 
     fn to_json(&self) -> serde_json::Value {
         serde_json::json!({
-            "samples": self.samples, "failed": self.failed, "occluded": self.occluded, "noisy": self.noisy,
+            "seeds": self.seeds, "samples": self.samples, "failed": self.failed, "occluded": self.occluded, "noisy": self.noisy,
             "families": self.families, "rejected": self.rejected,
             "conjugacy_sum": self.conjugacy, "depth_span_sum": self.depth_span,
         })

@@ -81,13 +81,18 @@ pub(super) fn random_surface(family: Family, rng: &mut ChaCha8Rng) -> Option<Nur
         Family::Shell => shell(rng)?,
     };
     fit_into_box(&mut net)?;
-    let deform = if family == Family::Freeform { 0.6 } else { 0.25 };
-    if rng.random_bool(deform) {
-        let strength = rng.random_range(0.2..1.0);
-        free_form_deformation(&mut net, strength, rng);
+    // The paper's lattice has cells of 0.8 and so makes ripples; mostly a coarser one bends the whole shape instead.
+    let (bent, rippled) = if family == Family::Freeform { (0.5, 0.12) } else { (0.25, 0.0) };
+    if rng.random_bool(bent) {
+        let reach = rng.random_range(0.1..0.5);
+        free_form_deformation::<6>(&mut net, reach, rng);
+    }
+    if rng.random_bool(rippled) {
+        let reach = rng.random_range(0.05..0.2);
+        free_form_deformation::<16>(&mut net, reach, rng);
     }
     let surface = NurbsSurface::uniform(3, [NET, NET], net).ok()?;
-    let n = 24;
+    let n = 18;
     for i in 0..=n {
         for j in 0..=n {
             let forms = FundamentalForms::new(&surface.evaluate(i as f64 / n as f64, j as f64 / n as f64))?;
@@ -120,8 +125,16 @@ fn fit_into_box(net: &mut [Point3<f64>]) -> Option<()> {
 
 /// The net that interpolates `f` at the Greville abscissae of the uniform cubic knots.
 fn interpolate(f: impl Fn(f64, f64) -> Point3<f64>) -> Vec<Point3<f64>> {
-    static INVERSE: OnceLock<(Vec<f64>, DMatrix<f64>)> = OnceLock::new();
-    let (greville, inverse) = INVERSE.get_or_init(|| {
+    let greville = greville(NET);
+    let samples: Vec<Point3<f64>> =
+        greville.iter().flat_map(|&u| greville.iter().map(move |&v| (u, v))).map(|(u, v)| f(u, v)).collect();
+    interpolate_samples(&samples)
+}
+
+/// The net that goes through 30 x 30 points at the Greville abscissae, v running fastest.
+pub(super) fn interpolate_samples(samples: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    static INVERSE: OnceLock<DMatrix<f64>> = OnceLock::new();
+    let inverse = INVERSE.get_or_init(|| {
         let greville = greville(NET);
         let knots = KnotVector::uniform(3, NET);
         let mut matrix = DMatrix::zeros(NET, NET);
@@ -131,11 +144,9 @@ fn interpolate(f: impl Fn(f64, f64) -> Point3<f64>) -> Vec<Point3<f64>> {
                 matrix[(row, basis.first + k)] += basis.values[0][k];
             }
         }
-        (greville, matrix.try_inverse().expect("Greville interpolation is unique"))
+        matrix.try_inverse().expect("Greville interpolation is unique")
     });
     let mut net = vec![Point3::origin(); NET * NET];
-    let samples: Vec<Point3<f64>> =
-        greville.iter().flat_map(|&u| greville.iter().map(move |&v| (u, v))).map(|(u, v)| f(u, v)).collect();
     for axis in 0..3 {
         let values = DMatrix::from_fn(NET, NET, |i, j| samples[i * NET + j][axis]);
         let control = inverse * values * inverse.transpose();
@@ -195,7 +206,7 @@ fn plan_border(rng: &mut ChaCha8Rng, roughness: f64) -> [Vec<Vector2<f64>>; 4] {
     let modes: Vec<(f64, f64, f64)> = (1..=5)
         .map(|k| {
             let k = k as f64;
-            (roughness * rng.random_range(-0.34..0.34) / k.powf(0.6), k, rng.random_range(0.0..TAU))
+            (roughness * rng.random_range(-0.3..0.3) / k.powf(0.85), k, rng.random_range(0.0..TAU))
         })
         .collect();
     let radius = |angle: f64| 1.0 + modes.iter().map(|(a, k, p)| a * (k * angle + p).cos()).sum::<f64>();
@@ -361,11 +372,11 @@ fn mode_heights(rng: &mut ChaCha8Rng, damping: f64) -> Vec<f64> {
 fn freeform(rng: &mut ChaCha8Rng) -> Option<Vec<Point3<f64>>> {
     let roughness = rng.random_range(0.2..1.0);
     let plan = plan(rng, roughness)?;
-    let damping = rng.random_range(1.2..3.2);
+    let damping = rng.random_range(1.6..3.4);
     let heights = mode_heights(rng, damping);
     let (low, high) = heights.iter().fold((f64::MAX, f64::MIN), |(l, h), &z| (l.min(z), h.max(z)));
     // The plan spans about 2 here, 8 after scaling.
-    let range = rng.random_range(0.25f64..1.65);
+    let range = rng.random_range(0.3f64..1.9);
     let scale = range / (high - low).max(1e-9);
     Some(plan.iter().zip(&heights).map(|(p, z)| Point3::new(p.x, p.y, z * scale)).collect())
 }
@@ -535,11 +546,9 @@ fn shell(rng: &mut ChaCha8Rng) -> Option<Vec<Point3<f64>>> {
     Some(plan.iter().enumerate().map(|(k, p)| Point3::new(p.x, p.y, height(k))).collect())
 }
 
-/// Moves the control points by a tricubic B-spline lattice of 16^3 points over [-5, 5]^3, whose x and y are displaced by up
-/// to 0.2 times `strength` (paper, Sec. 5).
-fn free_form_deformation(net: &mut [Point3<f64>], strength: f64, rng: &mut ChaCha8Rng) {
-    const LATTICE: usize = 16;
-    let reach = 0.2 * strength;
+/// Moves the control points by a tricubic B-spline lattice over [-5, 5]^3, whose x and y are displaced by up to `reach`
+/// (paper, Sec. 5: 16^3 points and 0.2).
+fn free_form_deformation<const LATTICE: usize>(net: &mut [Point3<f64>], reach: f64, rng: &mut ChaCha8Rng) {
     let shift: Vec<[f64; 2]> =
         (0..LATTICE.pow(3)).map(|_| [rng.random_range(-reach..reach), rng.random_range(-reach..reach)]).collect();
     let knots = KnotVector::uniform(3, LATTICE);

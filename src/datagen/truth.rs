@@ -2,10 +2,9 @@
 
 use super::MAP;
 use super::directions::Directions;
-use super::grid::Grid;
 use super::layers::{Layers, pixel_center};
 use crate::surface::{NurbsSurface, SurfacePoint};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 /// Ground truth of one sketch on 64 x 64 maps: visible layer, then occluded layer; row 0 is the top.
 #[derive(Clone, Debug)]
@@ -38,7 +37,8 @@ fn sharpen(surface: &NurbsSurface, uv: [f64; 2], target: [f64; 2]) -> ([f64; 2],
         let determinant = point.du.x * point.dv.y - point.du.y * point.dv.x;
         let step = [(point.dv.y * x - point.dv.x * y) / determinant, (point.du.x * y - point.du.y * x) / determinant];
         // Beside a contour the system is nearly singular: the triangulation knows better.
-        if !(step[0].hypot(step[1]) < 0.02) {
+        let length = step[0].hypot(step[1]);
+        if length.is_nan() || length > 0.02 {
             break;
         }
         let next = [0, 1].map(|k| (uv[k] + step[k]).clamp(0.0, 1.0));
@@ -52,8 +52,9 @@ fn sharpen(surface: &NurbsSurface, uv: [f64; 2], target: [f64; 2]) -> ([f64; 2],
 }
 
 impl Maps {
-    /// The maps of `surface` in its canonical frame; `grid` is its triangulation, `cotangent` that of the elevation.
-    pub(super) fn new(surface: &NurbsSurface, grid: &Grid, directions: &Directions, cotangent: f64) -> Self {
+    /// The maps of `surface` in its canonical frame; `grid` holds its points at regular parameters, `cotangent` is that of the
+    /// elevation.
+    pub(super) fn new(surface: &NurbsSurface, grid: &[Point3<f64>], directions: &Directions, cotangent: f64) -> Self {
         const PIXELS: usize = MAP * MAP;
         let layers = Layers::new(grid, MAP);
         let mut maps = Self {
@@ -95,9 +96,9 @@ impl Maps {
         }
         let visible = maps.valid[..PIXELS].iter().filter(|&&v| v > 0).count().max(1);
         maps.reference = (0..PIXELS).filter(|&k| maps.valid[k] > 0).map(|k| depth[k]).sum::<f64>() / visible as f64;
-        for slot in 0..2 * PIXELS {
+        for (slot, depth) in depth.iter().enumerate() {
             if maps.valid[slot] > 0 {
-                maps.depth[slot] = (depth[slot] - maps.reference) as f32;
+                maps.depth[slot] = (depth - maps.reference) as f32;
             }
         }
         maps.conjugacy = residual / pairs.max(1) as f64;

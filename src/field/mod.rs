@@ -1,6 +1,5 @@
 //! Conjugate direction fields on surfaces.
 
-mod cancel;
 mod conjugate;
 mod conjugate_field;
 mod integrate;
