@@ -1,5 +1,6 @@
 //! Conjugate direction fields on surfaces.
 
+mod cancel;
 mod conjugate;
 mod conjugate_field;
 mod integrate;

@@ -120,7 +120,7 @@ pub fn conjugate_field(
     let problem = Problem::new(&mesh, &edges, &frames, guess, &constraints, options)?;
     let crosses = problem.initial(control)?;
     control.step("field", 0.3)?;
-    let (crosses, iterations) = problem.optimize(crosses, control)?;
+    let (crosses, iterations) = problem.settle(crosses, control)?;
     control.step("field", 0.95)?;
     let Finished { directions, matching, singularities, diagnostics } = problem.finish(&crosses, iterations);
     control.step("field", 1.0)?;
@@ -462,12 +462,25 @@ impl<'a> Problem<'a> {
         (0..self.edges.len()).filter(|&e| !self.edges.is_border(e))
     }
 
-    /// The energy: smoothness + targets + soft constraints + orthogonality.
-    fn energy(&self, crosses: &[Cross]) -> f64 {
+    /// Matching, rotation and change across an edge, see [`matching`]; with `jumps`, for the given number of quarter turns instead of the
+    /// nearest.
+    fn across(&self, e: usize, crosses: &[Cross], jumps: Option<&[i32]>) -> (u8, f64, f64) {
+        let [f, g] = self.edges.triangles[e].map(|t| t as usize);
+        match jumps {
+            None => matching(&crosses[f], &crosses[g], self.frames.turns[e]),
+            Some(jumps) => {
+                let renamed = crosses[g].renamed(jumps[e]);
+                let rotation = renamed.bisector - crosses[f].bisector - self.frames.turns[e];
+                (jumps[e].rem_euclid(4) as u8, rotation, renamed.half_crossing - crosses[f].half_crossing)
+            }
+        }
+    }
+
+    /// The energy: smoothness + targets + soft constraints + orthogonality; `jumps` as in [`Problem::across`].
+    fn energy(&self, crosses: &[Cross], jumps: Option<&[i32]>) -> f64 {
         let mut sum = 0.0;
         for e in self.inner_edges() {
-            let [f, g] = self.edges.triangles[e].map(|t| t as usize);
-            let (_, rotation, change) = matching(&crosses[f], &crosses[g], self.frames.turns[e]);
+            let (_, rotation, change) = self.across(e, crosses, jumps);
             sum += self.edge_weights[e] * (rotation * rotation + change * change);
         }
         for (t, cross) in crosses.iter().enumerate() {
@@ -535,19 +548,25 @@ impl<'a> Problem<'a> {
         if sign < 0.0 { value <= low + slack } else { value >= high - slack }
     }
 
-    /// Gauss-Newton with damping along the conjugate crosses; returns the iterations spent.
-    fn optimize(&self, mut crosses: Vec<Cross>, control: &Control) -> Result<(Vec<Cross>, usize), Error> {
+    /// Gauss-Newton with damping along the conjugate crosses, and the iterations spent; `jumps` as in [`Problem::across`].
+    fn optimize(
+        &self,
+        system: &mut TriangleSystem,
+        mut crosses: Vec<Cross>,
+        jumps: Option<&[i32]>,
+        most: usize,
+        control: &Control,
+    ) -> Result<(Vec<Cross>, usize), Error> {
         let count = crosses.len();
-        let mut system = TriangleSystem::new(self.edges, self.freedom.iter().map(|f| f.unknowns()))?;
         if system.vector.is_empty() {
             return Ok((crosses, 0));
         }
-        let mut energy = self.energy(&crosses);
+        let mut energy = self.energy(&crosses, jumps);
         let mut damping = 1e-3;
-        for iteration in 0..self.options.iterations {
-            control.step("field", 0.3 + 0.65 * iteration as f64 / self.options.iterations as f64)?;
+        for iteration in 0..most {
+            control.step("field", 0.3 + 0.6 * iteration as f64 / most as f64)?;
             let tangents: Vec<_> = (0..count).map(|t| self.tangents(t, &crosses[t])).collect();
-            self.assemble(&mut system, &crosses, &tangents);
+            self.assemble(system, &crosses, jumps, &tangents);
             let gradient = system.vector.clone();
             for (t, cross) in crosses.iter().enumerate() {
                 for i in 0..system.unknowns(t) {
@@ -563,7 +582,7 @@ impl<'a> Problem<'a> {
             let largest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
             let trial: Vec<Cross> =
                 (0..count).map(|t| self.moved(t, &crosses[t], &step[system.starts[t]..system.starts[t + 1]])).collect();
-            let next = self.energy(&trial);
+            let next = self.energy(&trial, jumps);
             if next <= energy {
                 let gain = energy - next;
                 crosses = trial;
@@ -579,11 +598,75 @@ impl<'a> Problem<'a> {
                 damping = (damping * 10.0).max(1e-2);
             }
         }
-        Ok((crosses, self.options.iterations))
+        Ok((crosses, most))
+    }
+
+    /// Gauss-Newton from `crosses`, then without the singularities that nothing asks for; and the iterations spent.
+    ///
+    /// Moving the charges of the singularities together, or over the border, by quarter turns across the edges of paths between them makes
+    /// a field without them, cracked along the paths; Gauss-Newton closes the cracks where neither conjugacy nor constraints need
+    /// them. The result counts if it has fewer singularities at little more energy: first all at once, then close pairs only.
+    fn settle(&self, crosses: Vec<Cross>, control: &Control) -> Result<(Vec<Cross>, usize), Error> {
+        let mut system = TriangleSystem::new(self.edges, self.freedom.iter().map(|f| f.unknowns()))?;
+        let most = self.options.iterations;
+        let (mut crosses, mut iterations) = self.optimize(&mut system, crosses, None, most, control)?;
+        let size = self.frames.areas.iter().sum::<f64>().sqrt();
+        let rigidity = self.rigidity();
+        for (reach, saving) in [(f64::INFINITY, FAR_PAIR_ENERGY), (CLOSE_PAIR * size, CLOSE_PAIR_ENERGY)] {
+            let (_, singularities) = match_field(self.mesh, self.edges, self.frames, &crosses);
+            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach);
+            if paths.is_empty() {
+                continue;
+            }
+            let mut jumps = self.nearest_jumps(&crosses);
+            paths.iter().for_each(|&(edge, quarters)| jumps[edge as usize] += quarters);
+            let most = most.min(REMOVAL_ITERATIONS);
+            let (trial, spent) = self.optimize(&mut system, crosses.clone(), Some(&jumps), most, control)?;
+            let (trial, more) = self.optimize(&mut system, trial, None, most, control)?;
+            iterations += spent + more;
+            let left = match_field(self.mesh, self.edges, self.frames, &trial).1.len();
+            let allowed = saving * (singularities.len() as f64 - left as f64);
+            if left < singularities.len() && self.energy(&trial, None) <= self.energy(&crosses, None) + allowed {
+                crosses = trial;
+            }
+        }
+        Ok((crosses, iterations))
+    }
+
+    /// Quarter turns across each edge that make the rotation smallest.
+    fn nearest_jumps(&self, crosses: &[Cross]) -> Vec<i32> {
+        let mut jumps = vec![0; self.edges.len()];
+        for e in self.inner_edges() {
+            let [f, g] = self.edges.triangles[e].map(|t| t as usize);
+            let (_, rotation, _) = self.across(e, crosses, None);
+            let plain = crosses[g].bisector - crosses[f].bisector - self.frames.turns[e];
+            jumps[e] = ((rotation - plain) / FRAC_PI_2).round() as i32;
+        }
+        jumps
+    }
+
+    /// How firmly each triangle holds its cross, from 0 (free to turn) to 1.
+    fn rigidity(&self) -> Vec<f64> {
+        let rigid = |t: usize| match self.freedom[t] {
+            Freedom::Fixed => 1.0,
+            Freedom::Crossing => {
+                let (h, d) = (self.forms[t].h.powi(2), self.forms[t].deviator().powi(2));
+                (d - h) / (d + h)
+            }
+            Freedom::AboutU => 0.5,
+            Freedom::Bisector | Freedom::Free => 0.0,
+        };
+        (0..self.freedom.len()).map(rigid).collect()
     }
 
     /// Gauss-Newton matrix and minus half the gradient at `crosses`.
-    fn assemble(&self, system: &mut TriangleSystem, crosses: &[Cross], tangents: &[[[f64; 2]; 2]]) {
+    fn assemble(
+        &self,
+        system: &mut TriangleSystem,
+        crosses: &[Cross],
+        jumps: Option<&[i32]>,
+        tangents: &[[[f64; 2]; 2]],
+    ) {
         system.clear();
         // Adds weight * (row . angles - value)^2, row acting on (bisector, half crossing) of one triangle.
         let add = |system: &mut TriangleSystem, t: usize, row: [f64; 2], residual: f64, weight: f64| {
@@ -600,7 +683,7 @@ impl<'a> Problem<'a> {
         for e in self.inner_edges() {
             let pair = self.edges.triangles[e];
             let [f, g] = pair.map(|t| t as usize);
-            let (k, rotation, change) = matching(&crosses[f], &crosses[g], self.frames.turns[e]);
+            let (k, rotation, change) = self.across(e, crosses, jumps);
             // An odd matching reflects the half crossing angle of g.
             let side = if k % 2 == 1 { -1.0 } else { 1.0 };
             let w = self.edge_weights[e];
@@ -684,6 +767,14 @@ const HARD_WEIGHT: f64 = 1e3;
 const HYPERBOLIC_WEIGHT: f64 = 300.0;
 /// Rounds of the initial system.
 const INITIAL_ROUNDS: usize = 3;
+/// What a singularity may save of the energy before its removal is refused. One of quarter index over n triangles across costs about
+/// (pi / 2)^2 / (2 pi) log n, 1.4 for n = 40; far ones give the lines room to spread, close pairs no mesh can show.
+const FAR_PAIR_ENERGY: f64 = 0.3;
+const CLOSE_PAIR_ENERGY: f64 = 1.5;
+/// Most Gauss-Newton iterations with, and again without, the jumps of a removal.
+const REMOVAL_ITERATIONS: usize = 10;
+/// Distance of singularities that count as a close pair, in square roots of the area.
+const CLOSE_PAIR: f64 = 0.15;
 /// Largest change of an angle in one Gauss-Newton step, radians.
 const MAX_STEP: f64 = 0.4;
 
@@ -873,6 +964,29 @@ mod tests {
         assert_eq!(field.diagnostics.flat_triangles.len(), 128);
         assert!(field.diagnostics.smoothness_energy < 1e-6);
         assert!(field.diagnostics.crossing_min_deg > 80.0);
+    }
+
+    #[test]
+    fn a_pair_that_nothing_asks_for_is_removed() {
+        let mesh = SurfaceMesh::new(&graph(|_, _| 0.0), [20, 20]).unwrap();
+        let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles).unwrap();
+        let frames = TriangleFrames::new(&mesh, &edges).unwrap();
+        for distance in [0.13, 0.45] {
+            let crosses: Vec<Cross> = (0..mesh.triangles.len())
+                .map(|t| {
+                    let p: Vector3<f64> = mesh.triangles[t].iter().map(|&v| mesh.position(v).coords / 3.0).sum();
+                    let bisector = 0.25 * (p.y.atan2(p.x - distance) - p.y.atan2(p.x + distance));
+                    Cross { bisector: bisector + frames.angle(t, &Vector3::x()), half_crossing: FRAC_PI_4 }
+                })
+                .collect();
+            let indices: Vec<i32> = match_field(&mesh, &edges, &frames, &crosses).1.iter().map(|s| s.index).collect();
+            assert_eq!((indices.len(), indices.iter().sum::<i32>()), (2, 0));
+            let options = FieldOptions::default();
+            let problem = Problem::new(&mesh, &edges, &frames, None, &[], &options).unwrap();
+            let (settled, _) = problem.settle(crosses, &Control::default()).unwrap();
+            assert!(match_field(&mesh, &edges, &frames, &settled).1.is_empty());
+            assert!(problem.energy(&settled, None) < 1e-3);
+        }
     }
 
     #[test]
