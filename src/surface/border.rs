@@ -4,8 +4,7 @@ use super::corners::BorderLoop;
 use super::knots::KnotVector;
 use super::layer_map::LayerMap;
 use crate::error::Error;
-use crate::numeric::{LeastSquares, SymbolicCholesky};
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 /// Depth and normals of both layers.
 #[derive(Clone, Debug, PartialEq)]
@@ -226,31 +225,31 @@ fn fit_heights(
     let id = |side: usize, i: usize| (starts[side] + i) % unknowns;
 
     let mut robust = vec![1.0; samples.len()];
-    let mut symbolic: Option<SymbolicCholesky> = None;
-    let mut solution = vec![0.0; unknowns];
+    let mut solution = DVector::zeros(unknowns);
+    let mut smoothing = DMatrix::zeros(unknowns, unknowns);
+    for k in 0..4 {
+        smoothing_rows(&knots[k % 2], DEPTH_SMOOTHING, |first, row| {
+            add_square(&mut smoothing, row, |i| Some(id(k, first + i)));
+        });
+    }
     for _ in 0..ROBUST_ROUNDS {
-        let mut system = LeastSquares::new(unknowns);
+        // 4 x 29 unknowns: dense is faster than sparse.
+        let mut matrix = smoothing.clone();
+        let mut right = DVector::zeros(unknowns);
         for (k, side) in sides.iter().enumerate() {
-            let total = 1.0 / side.len() as f64;
             for (&index, &t) in side.iter().zip(&parameters[k]) {
                 let (depth, weight) = samples[index];
-                let scale = (total * weight * robust[index]).sqrt();
+                let scale = (weight * robust[index] / side.len() as f64).sqrt();
                 let basis = knots[k % 2].basis(t);
-                let row = [0, 1, 2, 3].map(|i| (id(k, basis.first + i), scale * basis.values[0][i]));
-                system.push(&row, -depth * scale);
+                let row = [0, 1, 2, 3].map(|i| scale * basis.values[0][i]);
+                add_square(&mut matrix, &row, |i| Some(id(k, basis.first + i)));
+                for (i, value) in row.iter().enumerate() {
+                    right[id(k, basis.first + i)] -= value * depth * scale;
+                }
             }
-            smoothing_rows(&knots[k % 2], DEPTH_SMOOTHING, |first, row| {
-                let row: Vec<_> = row.iter().enumerate().map(|(i, value)| (id(k, first + i), *value)).collect();
-                system.push(&row, 0.0);
-            });
         }
-        let (matrix, mut right) = system.normal_equations();
-        if symbolic.is_none() {
-            symbolic = Some(SymbolicCholesky::new(&matrix)?);
-        }
-        let analysed = symbolic.as_ref().expect("set above");
-        analysed.factorize(&matrix, "border depth")?.solve(&mut right);
-        solution = right;
+        let factor = matrix.cholesky().ok_or(Error::Singular { what: "border depth", size: unknowns })?;
+        solution = factor.solve(&right);
 
         let mut residuals = vec![f64::NAN; samples.len()];
         for (k, side) in sides.iter().enumerate() {
@@ -285,37 +284,42 @@ fn fit_shape(
     // The smoothing pulls towards the straight line between the ends, not towards the origin of x, y.
     let line: Vec<[f64; 2]> =
         knots.greville().iter().map(|&t| [0, 1].map(|k| ends[0][k] + (ends[1][k] - ends[0][k]) * t)).collect();
-    let mut columns = vec![];
-    let mut matrix = None;
-    for axis in [0, 1] {
-        let mut system = LeastSquares::new(count - 2);
-        let mut push = |first: usize, row: &[f64], value: f64| {
-            let mut inner = vec![];
-            for (i, &coefficient) in row.iter().enumerate() {
-                if (1..count - 1).contains(&(first + i)) {
-                    inner.push((first + i - 1, coefficient));
+    let unknowns = count - 2;
+    let inner = |i: usize| (1..=unknowns).contains(&i).then(|| i - 1);
+    let mut matrix = DMatrix::zeros(unknowns, unknowns);
+    let mut right = [DVector::zeros(unknowns), DVector::zeros(unknowns)];
+    smoothing_rows(knots, SHAPE_SMOOTHING, |first, row| add_square(&mut matrix, row, |i| inner(first + i)));
+    for (&index, &t) in side.iter().zip(parameters) {
+        let basis = knots.basis(t);
+        let row = [0, 1, 2, 3].map(|i| basis.values[0][i] / (side.len() as f64).sqrt());
+        add_square(&mut matrix, &row, |i| inner(basis.first + i));
+        for (axis, right) in right.iter_mut().enumerate() {
+            let straight: f64 = (0..4).map(|i| basis.values[0][i] * line[basis.first + i][axis]).sum();
+            let residual = (border.points[index][axis] - straight) / (side.len() as f64).sqrt();
+            for (i, value) in row.iter().enumerate() {
+                if let Some(k) = inner(basis.first + i) {
+                    right[k] += value * residual;
                 }
             }
-            system.push(&inner, value);
-        };
-        let scale = (1.0 / side.len() as f64).sqrt();
-        for (&index, &t) in side.iter().zip(parameters) {
-            let basis = knots.basis(t);
-            let straight: f64 = (0..4).map(|i| basis.values[0][i] * line[basis.first + i][axis]).sum();
-            let row = [0, 1, 2, 3].map(|i| basis.values[0][i] * scale);
-            push(basis.first, &row, scale * (border.points[index][axis] - straight));
         }
-        smoothing_rows(knots, SHAPE_SMOOTHING, |first, row| push(first, row, 0.0));
-        let (normal, right) = system.normal_equations();
-        columns.extend(right);
-        matrix = Some(normal);
     }
-    let matrix = matrix.expect("two coordinates");
-    SymbolicCholesky::new(&matrix)?.factorize(&matrix, "border curve")?.solve(&mut columns);
-    for i in 1..count - 1 {
-        result[i] = [0, 1].map(|k| line[i][k] + columns[k * (count - 2) + i - 1]);
+    let factor = matrix.cholesky().ok_or(Error::Singular { what: "border curve", size: unknowns })?;
+    let offsets = right.map(|right| factor.solve(&right));
+    for i in 1..=unknowns {
+        result[i] = [0, 1].map(|axis| line[i][axis] + offsets[axis][i - 1]);
     }
     Ok(result)
+}
+
+/// Adds the outer product of `row` with itself at the places that `index` gives its entries.
+fn add_square(matrix: &mut DMatrix<f64>, row: &[f64], index: impl Fn(usize) -> Option<usize>) {
+    for (i, a) in row.iter().enumerate() {
+        for (j, b) in row.iter().enumerate() {
+            if let (Some(r), Some(c)) = (index(i), index(j)) {
+                matrix[(r, c)] += a * b;
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -37,6 +37,8 @@ pub struct MapSample {
     pub gradient: [f64; 2],
     /// Unit normal.
     pub normal: Vector3<f64>,
+    /// Rings of pixels beyond the mask, 0 inside, up to [`EXTRAPOLATED_RINGS`].
+    pub beyond: f64,
 }
 
 impl LayerMap {
@@ -206,7 +208,8 @@ impl MapSide {
             [((b - a) * (1.0 - t) + (f - e) * t) / self.pixel, -((e - a) * (1.0 - s) + (f - b) * s) / self.pixel];
         let direction: Vector3<f64> = (0..4).map(|i| self.normal[corners[i]] * weights[i]).sum();
         let normal = direction.try_normalize(1e-9).unwrap_or(self.normal[k]);
-        Some(MapSample { depth, gradient, normal })
+        let beyond = (0..4).map(|i| weights[i] * f64::from(self.ring[corners[i]])).sum();
+        Some(MapSample { depth, gradient, normal, beyond })
     }
 
     /// Vector (x, y) from `p` to the mask and its length in pixels: zero within half a pixel of a mask pixel's centre.

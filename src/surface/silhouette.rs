@@ -11,6 +11,8 @@ pub struct SilhouettePoint {
     pub bases: [Basis; 2],
     /// Projected position (x, y).
     pub position: [f64; 2],
+    /// Direction (x, y) to which the surface lies, seen from its apparent contour: the normal, or its opposite.
+    pub inward: [f64; 2],
 }
 
 /// Newton and secant steps for one root; the grid brackets it well.
@@ -65,8 +67,14 @@ fn root(surface: &NurbsSurface, axis: usize, fixed: f64, range: [f64; 2], values
     }
     let parameters = at(t);
     let bases = [0, 1].map(|k| surface.knots()[k].basis(parameters[k]));
-    let p = surface.evaluate_with(&bases[0], &bases[1]).position;
-    SilhouettePoint { bases, position: [p.x, p.y] }
+    let p = surface.evaluate_with(&bases[0], &bases[1]);
+    // The tangent along the line of sight, a S_u + b S_v, and the curvature of the surface in that direction.
+    let (a, b) =
+        if p.du.x.abs() + p.dv.x.abs() > p.du.y.abs() + p.dv.y.abs() { (p.dv.x, -p.du.x) } else { (p.dv.y, -p.du.y) };
+    let normal = p.du.cross(&p.dv);
+    let bend = normal.dot(&(p.duu * (a * a) + p.duv * (2.0 * a * b) + p.dvv * (b * b)));
+    let inward = [normal.x, normal.y].map(|n| n * bend.signum() / normal.x.hypot(normal.y).max(f64::MIN_POSITIVE));
+    SilhouettePoint { bases, position: [p.position.x, p.position.y], inward }
 }
 
 /// An open polyline in the canvas plane, and the nearest point on it.
@@ -107,6 +115,14 @@ impl Polyline {
     /// Whole length.
     pub fn length(&self) -> f64 {
         self.lengths.last().copied().unwrap_or(0.0)
+    }
+
+    /// The point at arc length `s`, clamped.
+    pub fn at(&self, s: f64) -> [f64; 2] {
+        let i = self.lengths.partition_point(|&l| l <= s).clamp(1, self.points.len() - 1);
+        let (a, b) = (self.points[i - 1], self.points[i]);
+        let t = ((s - self.lengths[i - 1]) / (self.lengths[i] - self.lengths[i - 1])).clamp(0.0, 1.0);
+        [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
     }
 
     /// The nearest point among those with arc length in `window`; `None` for fewer than two vertices.

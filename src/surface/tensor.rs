@@ -5,6 +5,8 @@
 //! matrices are never built: one product with a 30 x 30 net costs tens of microseconds.
 
 use super::knots::{Basis, KnotVector};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Basis functions at the parameters of one direction.
@@ -64,33 +66,36 @@ impl TensorGrid {
     /// S, S_u, S_v of one plane of control values.
     pub fn forward(&self, plane: &[f64], out: &mut GridPlanes) {
         let [au, av] = &self.axes;
-        let (nv, mv) = (av.count, av.len());
+        let (nu, nv, mv) = (au.count, av.count, av.len());
         for samples in [&mut out.value, &mut out.du, &mut out.dv] {
+            samples.clear();
             samples.resize(self.len(), 0.0);
         }
-        let mut row = vec![0.0; nv];
-        let mut row_du = vec![0.0; nv];
-        for (a, bu) in au.bases.iter().enumerate() {
-            row.fill(0.0);
-            row_du.fill(0.0);
-            for i in 0..=au.degree {
-                let control = &plane[(bu.first + i) * nv..(bu.first + i + 1) * nv];
-                let (value, slope) = (bu.values[0][i], bu.values[1][i]);
-                for ((sum, sum_du), x) in row.iter_mut().zip(&mut row_du).zip(control) {
-                    *sum += value * x;
-                    *sum_du += slope * x;
-                }
-            }
+        // Along v first, on the few control rows; then whole rows are summed along u, several samples at a time.
+        let mut rows = vec![0.0; nu * mv];
+        let mut rows_dv = vec![0.0; nu * mv];
+        for (i, control) in plane.chunks_exact(nv).enumerate() {
             for (b, bv) in av.bases.iter().enumerate() {
-                let range = bv.first..=bv.first + av.degree;
-                let (mut s, mut s_u, mut s_v) = (0.0, 0.0, 0.0);
-                for (j, (x, x_u)) in row[range.clone()].iter().zip(&row_du[range]).enumerate() {
-                    s += bv.values[0][j] * x;
-                    s_u += bv.values[0][j] * x_u;
-                    s_v += bv.values[1][j] * x;
+                let (mut value, mut slope) = (0.0, 0.0);
+                for (j, x) in control[bv.first..=bv.first + av.degree].iter().enumerate() {
+                    value += bv.values[0][j] * x;
+                    slope += bv.values[1][j] * x;
                 }
-                let k = a * mv + b;
-                (out.value[k], out.du[k], out.dv[k]) = (s, s_u, s_v);
+                (rows[i * mv + b], rows_dv[i * mv + b]) = (value, slope);
+            }
+        }
+        for (a, bu) in au.bases.iter().enumerate() {
+            let range = a * mv..(a + 1) * mv;
+            let (value, du, dv) = (&mut out.value[range.clone()], &mut out.du[range.clone()], &mut out.dv[range]);
+            for i in 0..=au.degree {
+                let range = (bu.first + i) * mv..(bu.first + i + 1) * mv;
+                let (weight, slope) = (bu.values[0][i], bu.values[1][i]);
+                let sums = value.iter_mut().zip(du.iter_mut()).zip(dv.iter_mut());
+                for (((s, s_u), s_v), (row, row_dv)) in sums.zip(rows[range.clone()].iter().zip(&rows_dv[range])) {
+                    *s += weight * row;
+                    *s_u += slope * row;
+                    *s_v += weight * row_dv;
+                }
             }
         }
     }
@@ -98,26 +103,27 @@ impl TensorGrid {
     /// The adjoint of [`TensorGrid::forward`], added to `plane`.
     pub fn add_adjoint(&self, samples: &GridPlanes, plane: &mut [f64]) {
         let [au, av] = &self.axes;
-        let (nv, mv) = (av.count, av.len());
-        let mut row = vec![0.0; nv];
-        let mut row_du = vec![0.0; nv];
+        let (nu, nv, mv) = (au.count, av.count, av.len());
+        let mut rows = vec![0.0; nu * mv];
+        let mut rows_dv = vec![0.0; nu * mv];
         for (a, bu) in au.bases.iter().enumerate() {
-            row.fill(0.0);
-            row_du.fill(0.0);
-            for (b, bv) in av.bases.iter().enumerate() {
-                let k = a * mv + b;
-                let (s, s_u, s_v) = (samples.value[k], samples.du[k], samples.dv[k]);
-                let range = bv.first..=bv.first + av.degree;
-                for (j, (sum, sum_du)) in row[range.clone()].iter_mut().zip(&mut row_du[range]).enumerate() {
-                    *sum += bv.values[0][j] * s + bv.values[1][j] * s_v;
-                    *sum_du += bv.values[0][j] * s_u;
+            let range = a * mv..(a + 1) * mv;
+            let (value, du, dv) = (&samples.value[range.clone()], &samples.du[range.clone()], &samples.dv[range]);
+            for i in 0..=au.degree {
+                let range = (bu.first + i) * mv..(bu.first + i + 1) * mv;
+                let (weight, slope) = (bu.values[0][i], bu.values[1][i]);
+                let sums = rows[range.clone()].iter_mut().zip(&mut rows_dv[range]);
+                for ((row, row_dv), ((s, s_u), s_v)) in sums.zip(value.iter().zip(du).zip(dv)) {
+                    *row += weight * s + slope * s_u;
+                    *row_dv += weight * s_v;
                 }
             }
-            for i in 0..=au.degree {
-                let control = &mut plane[(bu.first + i) * nv..(bu.first + i + 1) * nv];
-                let (value, slope) = (bu.values[0][i], bu.values[1][i]);
-                for ((x, sum), sum_du) in control.iter_mut().zip(&row).zip(&row_du) {
-                    *x += value * sum + slope * sum_du;
+        }
+        for (i, control) in plane.chunks_exact_mut(nv).enumerate() {
+            for (b, bv) in av.bases.iter().enumerate() {
+                let (row, row_dv) = (rows[i * mv + b], rows_dv[i * mv + b]);
+                for (j, x) in control[bv.first..=bv.first + av.degree].iter_mut().enumerate() {
+                    *x += bv.values[0][j] * row + bv.values[1][j] * row_dv;
                 }
             }
         }
@@ -155,55 +161,63 @@ pub fn gram(knots: &KnotVector, order: usize) -> DMatrix<f64> {
     result
 }
 
-/// A symmetric banded n x n matrix, applied along one direction of a plane.
-#[derive(Clone, Debug)]
+/// A banded n x n matrix, applied along one direction of a plane.
+#[derive(Clone, Debug, Default)]
 pub struct Banded {
     size: usize,
     width: usize,
-    /// Row i holds columns i - width ..= i + width, zero outside the matrix.
-    rows: Vec<f64>,
+    /// Diagonal d holds the entries (i, i + d - width), n each, zero outside the matrix.
+    diagonals: Vec<f64>,
 }
 
 impl Banded {
     /// The band of `matrix` of half-width `width`.
     pub fn new(matrix: &DMatrix<f64>, width: usize) -> Self {
         let size = matrix.nrows();
-        let mut rows = vec![0.0; size * (2 * width + 1)];
+        let mut diagonals = vec![0.0; size * (2 * width + 1)];
         for i in 0..size {
             for j in i.saturating_sub(width)..=(i + width).min(size - 1) {
-                rows[i * (2 * width + 1) + j + width - i] = matrix[(i, j)];
+                diagonals[(j + width - i) * size + i] = matrix[(i, j)];
             }
         }
-        Self { size, width, rows }
+        Self { size, width, diagonals }
     }
 
-    fn row(&self, i: usize) -> (usize, &[f64]) {
-        let start = i.saturating_sub(self.width);
-        let end = (i + self.width).min(self.size - 1);
-        let offset = i * (2 * self.width + 1) + self.width;
-        (start, &self.rows[offset + start - i..=offset + end - i])
+    /// This matrix plus `factor` times another one of the same band.
+    pub fn plus(&self, other: &Self, factor: f64) -> Self {
+        let diagonals = self.diagonals.iter().zip(&other.diagonals).map(|(a, b)| a + factor * b).collect();
+        Self { diagonals, ..*self }
+    }
+
+    /// The rows i for which (i, i + d - width) lies in the matrix.
+    fn rows(&self, d: usize) -> std::ops::Range<usize> {
+        self.width.saturating_sub(d)..self.size - d.saturating_sub(self.width)
     }
 
     /// Adds this matrix times `plane` (along u) to `out`.
     pub fn add_along_u(&self, plane: &[f64], columns: usize, out: &mut [f64]) {
-        for i in 0..self.size {
-            let (start, row) = self.row(i);
-            let target = &mut out[i * columns..(i + 1) * columns];
-            for (k, value) in row.iter().enumerate() {
-                let source = &plane[(start + k) * columns..(start + k + 1) * columns];
-                for (t, s) in target.iter_mut().zip(source) {
+        for d in 0..=2 * self.width {
+            for i in self.rows(d) {
+                let value = self.diagonals[d * self.size + i];
+                let source = &plane[(i + d - self.width) * columns..(i + d - self.width + 1) * columns];
+                for (t, s) in out[i * columns..(i + 1) * columns].iter_mut().zip(source) {
                     *t += value * s;
                 }
             }
         }
     }
 
-    /// `plane` times this matrix (along v), written to `out`.
+    /// This matrix times each row of `plane` (along v), written to `out`.
     pub fn along_v(&self, plane: &[f64], out: &mut [f64]) {
+        out.fill(0.0);
         for (source, target) in plane.chunks_exact(self.size).zip(out.chunks_exact_mut(self.size)) {
-            for (j, t) in target.iter_mut().enumerate() {
-                let (start, row) = self.row(j);
-                *t = row.iter().zip(&source[start..]).map(|(a, b)| a * b).sum();
+            for d in 0..=2 * self.width {
+                let rows = self.rows(d);
+                let shifted = rows.start + d - self.width..rows.end + d - self.width;
+                let values = &self.diagonals[d * self.size + rows.start..d * self.size + rows.end];
+                for ((t, value), s) in target[rows].iter_mut().zip(values).zip(&source[shifted]) {
+                    *t += value * s;
+                }
             }
         }
     }
@@ -214,10 +228,8 @@ impl Banded {
 /// Source: Lynch, Rice, Thomas, "Direct solution of partial difference equations by tensor product methods", 1964.
 #[derive(Clone, Debug)]
 pub struct FastDiagonal {
-    /// Generalized eigenvectors of each direction as columns, row by row; and transposed.
-    vectors: [Vec<f64>; 2],
-    transposed: [Vec<f64>; 2],
-    sizes: [usize; 2],
+    /// Generalized eigenvectors of each direction as columns.
+    vectors: [Mat<f64>; 2],
     inverse: Vec<f64>,
 }
 
@@ -226,64 +238,43 @@ impl FastDiagonal {
     ///
     /// - `stiffness`, `mass`: Ku and Kv, Mu and Mv; `constant`: c > 0.
     pub fn new(stiffness: [&DMatrix<f64>; 2], mass: [&DMatrix<f64>; 2], constant: f64) -> Option<Self> {
-        let mut values = vec![];
-        let (mut vectors, mut transposed) = (vec![], vec![]);
-        for (k, m) in stiffness.into_iter().zip(mass) {
+        let diagonalize = |k: &DMatrix<f64>, m: &DMatrix<f64>| {
             let lower = m.clone().cholesky()?.l();
             let half = lower.solve_lower_triangular(k)?;
             let reduced = lower.solve_lower_triangular(&half.transpose())?;
             let eigen = SymmetricEigen::new((&reduced + reduced.transpose()) * 0.5);
             let columns = lower.transpose().solve_upper_triangular(&eigen.eigenvectors)?;
-            // nalgebra stores columns one after another: its data is the transpose, row by row.
-            transposed.push(columns.as_slice().to_vec());
-            vectors.push(columns.transpose().as_slice().to_vec());
-            values.push(eigen.eigenvalues);
-        }
-        let sizes = [values[0].len(), values[1].len()];
-        let inverse = values[0]
-            .iter()
-            .flat_map(|a| values[1].iter().map(move |b| 1.0 / (constant + a.max(0.0) + b.max(0.0))))
-            .collect();
-        let [u, v] = [vectors.remove(0), vectors.remove(0)];
-        let [tu, tv] = [transposed.remove(0), transposed.remove(0)];
-        Some(Self { vectors: [u, v], transposed: [tu, tv], sizes, inverse })
+            let vectors = Mat::from_fn(columns.nrows(), columns.ncols(), |i, j| columns[(i, j)]);
+            Some((vectors, eigen.eigenvalues))
+        };
+        let (first, u) = diagonalize(stiffness[0], mass[0])?;
+        // Most patches are square: the second direction is the first one again.
+        let same = stiffness[0] == stiffness[1] && mass[0] == mass[1];
+        let (second, v) = if same { (first.clone(), u.clone()) } else { diagonalize(stiffness[1], mass[1])? };
+        let inverse =
+            u.iter().flat_map(|a| v.iter().map(move |b| 1.0 / (constant + a.max(0.0) + b.max(0.0)))).collect();
+        Some(Self { vectors: [first, second], inverse })
     }
 
     /// Replaces `plane` by the solution for it; `scratch` is as long.
     pub fn solve(&self, plane: &mut [f64], scratch: &mut [f64]) {
-        let [nu, nv] = self.sizes;
+        let [u, v] = &self.vectors;
+        let (nu, nv) = (u.nrows(), v.nrows());
         // Phi_u^T R Phi_v, scaled, then Phi_u X Phi_v^T.
-        multiply(&self.transposed[0], plane, scratch, nu, nu, nv);
-        multiply(scratch, &self.vectors[1], plane, nu, nv, nv);
+        product(u.transpose(), MatRef::from_row_major_slice(plane, nu, nv), scratch);
+        product(MatRef::from_row_major_slice(scratch, nu, nv), v.as_ref(), plane);
         for (x, factor) in plane.iter_mut().zip(&self.inverse) {
             *x *= factor;
         }
-        multiply(&self.vectors[0], plane, scratch, nu, nu, nv);
-        multiply(scratch, &self.transposed[1], plane, nu, nv, nv);
+        product(u.as_ref(), MatRef::from_row_major_slice(plane, nu, nv), scratch);
+        product(MatRef::from_row_major_slice(scratch, nu, nv), v.transpose(), plane);
     }
 }
 
-/// out = a b, row by row; a is rows x inner, b is inner x columns.
-fn multiply(a: &[f64], b: &[f64], out: &mut [f64], rows: usize, inner: usize, columns: usize) {
-    for i in 0..rows {
-        let target = &mut out[i * columns..(i + 1) * columns];
-        target.fill(0.0);
-        let mut pairs = a[i * inner..(i + 1) * inner].chunks_exact(2);
-        let mut k = 0;
-        // Two rows of b at a time: half the traffic through `target`.
-        for pair in &mut pairs {
-            let (first, second) = b[k * columns..(k + 2) * columns].split_at(columns);
-            for ((t, x), y) in target.iter_mut().zip(first).zip(second) {
-                *t += pair[0] * x + pair[1] * y;
-            }
-            k += 2;
-        }
-        for value in pairs.remainder() {
-            for (t, x) in target.iter_mut().zip(&b[k * columns..(k + 1) * columns]) {
-                *t += value * x;
-            }
-        }
-    }
+/// out = a b, row by row.
+fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>, out: &mut [f64]) {
+    let out = MatMut::from_row_major_slice_mut(out, a.nrows(), b.ncols());
+    matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
 }
 
 #[cfg(test)]
