@@ -43,7 +43,8 @@ impl Info {
             let entry = models.entry(network);
             let millions = entry.parameters as f64 / 1e6;
             let (seen, commit) = (entry.training.samples_seen, &entry.training.commit);
-            line(network.name(), format!("{millions:.1} M parameters, {seen} samples seen, commit {commit}"));
+            let training = if seen == 0 { "untrained".into() } else { format!("{seen} samples seen, commit {commit}") };
+            line(network.name(), format!("{millions:.1} M parameters, {training}"));
         }
         print(&text);
         Ok(())
