@@ -1,0 +1,241 @@
+//! Every metric, defined once. Lengths are canonical units unless a doc comment says otherwise.
+
+use crate::mesh::PanelMesh;
+use crate::surface::NurbsSurface;
+use nalgebra::{DMatrix, DVector, Point2, Point3, Vector2, Vector3};
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
+
+/// Points of a surface with their unit normals.
+pub struct SurfaceSamples {
+    points: Vec<Point3<f64>>,
+    normals: Vec<Vector3<f64>>,
+}
+
+impl SurfaceSamples {
+    /// `side` x `side` points, regular in the parameter domain (the paper takes 100 x 100).
+    pub fn new(surface: &NurbsSurface, side: usize) -> Self {
+        let mut samples = Self { points: vec![], normals: vec![] };
+        for i in 0..side {
+            for j in 0..side {
+                let fraction = |k: usize| k as f64 / (side - 1) as f64;
+                let [u, v] = surface.at_fraction(fraction(i), fraction(j));
+                let point = surface.evaluate(u, v);
+                samples.points.push(point.position);
+                samples.normals.push(point.du.cross(&point.dv).normalize());
+            }
+        }
+        samples
+    }
+}
+
+/// D_c and D_n: two-sided Chamfer distance and normal angle between two sampled surfaces.
+///
+/// D_c = (sum |x - nearest y|^2 + sum |y - nearest x|^2) / (|X| + |Y|), squared length; D_n is the mean unsigned angle in
+/// degrees between the normals of the same pairs. Paper, Eqs. (12) to (14).
+pub fn chamfer(first: &SurfaceSamples, second: &SurfaceSamples) -> (f64, f64) {
+    let tree = |samples: &SurfaceSamples| {
+        let entries = samples.points.iter().enumerate().map(|(i, p)| GeomWithData::new([p.x, p.y, p.z], i));
+        RTree::bulk_load(entries.collect())
+    };
+    let one_way = |from: &SurfaceSamples, to: &SurfaceSamples| {
+        let tree = tree(to);
+        let (mut distance, mut angle) = (0.0, 0.0);
+        for (p, n) in from.points.iter().zip(&from.normals) {
+            if let Some(nearest) = tree.nearest_neighbor([p.x, p.y, p.z]) {
+                distance += (to.points[nearest.data] - p).norm_squared();
+                angle += n.dot(&to.normals[nearest.data]).abs().min(1.0).acos().to_degrees();
+            }
+        }
+        (distance, angle)
+    };
+    let (there, back) = (one_way(first, second), one_way(second, first));
+    let count = (first.points.len() + second.points.len()).max(1) as f64;
+    ((there.0 + back.0) / count, (there.1 + back.1) / count)
+}
+
+/// Errors of a depth map on its valid pixels, squared length.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DepthErrors {
+    /// D_v or D_o: mean squared difference (paper, Eq. (16)).
+    pub direct: f64,
+    /// With the four parameters that a sketch leaves open removed: the best truth ~ s depth + a x + b y + t.
+    pub shear: f64,
+    /// Of the best plane, which knows the answer but has no shape.
+    pub plane: f64,
+}
+
+/// Compares depths at canvas positions; `None` with fewer than 12 pixels.
+///
+/// - `positions`: canonical x, y of the pixels.
+/// - `depth`, `truth`: canonical depth or depth offset, any common reference.
+pub fn depth_errors(positions: &[[f64; 2]], depth: &[f64], truth: &[f64]) -> Option<DepthErrors> {
+    let n = positions.len();
+    if n < 12 {
+        return None;
+    }
+    let target = DVector::from_column_slice(truth);
+    let residual = |with_depth: bool| {
+        let columns = if with_depth { 4 } else { 3 };
+        let basis = DMatrix::from_fn(n, columns, |i, j| match j {
+            0 => positions[i][0],
+            1 => positions[i][1],
+            2 => 1.0,
+            _ => depth[i],
+        });
+        let solution = basis.clone().svd(true, true).solve(&target, 1e-9).ok()?;
+        Some((&target - basis * solution).norm_squared() / n as f64)
+    };
+    let direct = depth.iter().zip(truth).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / n as f64;
+    Some(DepthErrors { direct, shear: residual(true)?, plane: residual(false)? })
+}
+
+/// D_f: mean angle in degrees between feature lines and the mesh, on the viewing plane.
+///
+/// Each sample of a feature line is compared with the better aligned of the two edge directions of the face at its closest
+/// face (means of opposite edges). The paper's Eq. (15) prints a sum over samples and takes the closest edge whatever its
+/// family, which gives some 35 degrees on exact nets.
+///
+/// - `project`: vertex to the viewing plane.
+/// - `visible`: faces that the viewer sees.
+/// - `lines`: feature polylines on the viewing plane.
+/// - returns `None` without feature lines or faces.
+pub fn feature_alignment(
+    mesh: &PanelMesh,
+    project: impl Fn(&Point3<f64>) -> [f64; 2],
+    visible: impl Fn(usize) -> bool,
+    lines: &[Vec<[f64; 2]>],
+) -> Option<f64> {
+    let plane: Vec<Point2<f64>> = mesh.vertices.iter().map(|p| Point2::from(project(p))).collect();
+    let quads: Vec<usize> = (0..mesh.face_count()).filter(|&f| mesh.face(f).len() == 4 && visible(f)).collect();
+    let entries = quads.iter().map(|&f| {
+        let center: Vector2<f64> = mesh.face(f).iter().map(|&v| plane[v as usize].coords).sum::<Vector2<f64>>() / 4.0;
+        GeomWithData::new([center.x, center.y], f)
+    });
+    let tree = RTree::bulk_load(entries.collect());
+    let (mut sum, mut count) = (0.0, 0usize);
+    for line in lines {
+        for pair in line.windows(2) {
+            let (a, b) = (Point2::from(pair[0]), Point2::from(pair[1]));
+            let (tangent, middle) = (b - a, nalgebra::center(&a, &b));
+            let Some(nearest) = tree.nearest_neighbor([middle.x, middle.y]) else { continue };
+            let corners: Vec<Point2<f64>> = mesh.face(nearest.data).iter().map(|&v| plane[v as usize]).collect();
+            let edge = |i: usize| corners[(i + 1) % 4] - corners[i];
+            let angle = |family: Vector2<f64>| {
+                (tangent.perp(&family).abs()).atan2(tangent.dot(&family).abs()).to_degrees()
+            };
+            sum += angle(edge(0) - edge(2)).min(angle(edge(1) - edge(3)));
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// Mean angle in degrees between two pairs of lines in the plane, the better of the two assignments.
+pub fn pair_angle_deg(first: [[f64; 2]; 2], second: [[f64; 2]; 2]) -> f64 {
+    let angle = |a: [f64; 2], b: [f64; 2]| {
+        let (a, b) = (Vector2::from(a), Vector2::from(b));
+        a.perp(&b).abs().atan2(a.dot(&b).abs()).to_degrees()
+    };
+    let straight = angle(first[0], second[0]) + angle(first[1], second[1]);
+    let crossed = angle(first[0], second[1]) + angle(first[1], second[0]);
+    straight.min(crossed) / 2.0
+}
+
+/// Share of a surface's border, by length, that lies within `tolerance` of the mesh's border edges; in [0, 1].
+///
+/// - `border`: closed loop on the surface's border, dense.
+pub fn border_covered(mesh: &PanelMesh, border: &[Point3<f64>], tolerance: f64) -> f64 {
+    let mut uses = std::collections::BTreeMap::new();
+    for face in mesh.faces() {
+        for (i, &a) in face.iter().enumerate() {
+            let b = face[(i + 1) % face.len()];
+            *uses.entry((a.min(b), a.max(b))).or_insert(0usize) += 1;
+        }
+    }
+    let edges: Vec<(Point3<f64>, Point3<f64>)> = uses
+        .iter()
+        .filter(|(_, count)| **count == 1)
+        .map(|((a, b), _)| (mesh.vertices[*a as usize], mesh.vertices[*b as usize]))
+        .collect();
+    let distance = |p: &Point3<f64>| {
+        edges.iter().fold(f64::INFINITY, |best, (a, b)| {
+            let (ab, ap) = (b - a, p - a);
+            let t = (ap.dot(&ab) / ab.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            best.min((ap - ab * t).norm())
+        })
+    };
+    let (mut covered, mut total) = (0.0, 0.0);
+    for (i, p) in border.iter().enumerate() {
+        let length = (border[(i + 1) % border.len()] - p).norm();
+        total += length;
+        if distance(p) <= tolerance {
+            covered += length;
+        }
+    }
+    if total > 0.0 { covered / total } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dome(height: f64, lift: f64) -> NurbsSurface {
+        let net = (0..100)
+            .map(|k| {
+                let (x, y) = ((k / 10) as f64 / 4.5 - 1.0, (k % 10) as f64 / 4.5 - 1.0);
+                Point3::new(x, y, lift - height * (x * x + y * y))
+            })
+            .collect();
+        NurbsSurface::uniform(3, [10, 10], net).unwrap()
+    }
+
+    #[test]
+    fn chamfer_of_parallel_planes_is_their_squared_distance() {
+        let (a, b) = (SurfaceSamples::new(&dome(0.0, 0.0), 20), SurfaceSamples::new(&dome(0.0, 0.3), 20));
+        let (distance, angle) = chamfer(&a, &b);
+        assert!((distance - 0.09).abs() < 1e-12 && angle < 1e-5);
+        assert_eq!(chamfer(&a, &a), (0.0, 0.0));
+    }
+
+    #[test]
+    fn shear_error_ignores_the_four_free_parameters() {
+        let positions: Vec<[f64; 2]> = (0..400).map(|k| [(k % 20) as f64 / 10.0, (k / 20) as f64 / 10.0]).collect();
+        let truth: Vec<f64> = positions.iter().map(|[x, y]| (x * 2.0).sin() + y * y).collect();
+        let depth: Vec<f64> =
+            positions.iter().zip(&truth).map(|([x, y], d)| 0.7 * d - 0.3 * x + 0.2 * y + 5.0).collect();
+        let errors = depth_errors(&positions, &depth, &truth).unwrap();
+        assert!(errors.shear < 1e-16 && errors.direct > 1.0 && errors.plane > 1e-3);
+    }
+
+    #[test]
+    fn features_along_either_family_score_zero() {
+        let mut vertices = vec![];
+        let mut faces = vec![];
+        for i in 0..5u32 {
+            for j in 0..5u32 {
+                vertices.push(Point3::new(i as f64, j as f64, 0.0));
+                if i < 4 && j < 4 {
+                    faces.push([i * 5 + j, (i + 1) * 5 + j, (i + 1) * 5 + j + 1, i * 5 + j + 1]);
+                }
+            }
+        }
+        let mesh = PanelMesh::new(vertices, &faces).unwrap();
+        let along = |angle: f64| -> Vec<[f64; 2]> {
+            (0..10).map(|k| [0.5 + 0.3 * k as f64 * angle.cos(), 0.6 + 0.3 * k as f64 * angle.sin()]).collect()
+        };
+        let score = |angle: f64| feature_alignment(&mesh, |p| [p.x, p.y], |_| true, &[along(angle)]).unwrap();
+        assert!(score(0.0) < 1e-9 && score(std::f64::consts::FRAC_PI_2) < 1e-9);
+        assert!((score(0.3) - 0.3f64.to_degrees()).abs() < 1e-9);
+        let border = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]].map(|[x, y]| Point3::new(x, y, 0.0));
+        assert_eq!(border_covered(&mesh, &border, 1e-9), 1.0);
+    }
+
+    #[test]
+    fn pairs_of_lines_compare_without_order_or_sign() {
+        let rotated = |t: f64| [t.cos(), t.sin()];
+        let pair = [rotated(0.2), rotated(1.3)];
+        assert!(pair_angle_deg(pair, [rotated(1.3 + std::f64::consts::PI), rotated(0.2)]) < 1e-6);
+        assert!((pair_angle_deg(pair, [rotated(0.3), rotated(1.3)]) - 0.05f64.to_degrees()).abs() < 1e-9);
+    }
+}
