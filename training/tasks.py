@@ -26,14 +26,15 @@ def draw_depth_samples(batch, generator):
 
 
 def with_reference(batch, generator):
-    """Draws depth samples and moves h so that the reference is 0, as inference does. Returns the batch and the samples."""
+    """Draws depth samples and moves h so that the reference is 0, as inference does. Returns the batch and the samples.
+
+    The reference is the mean of the visible samples; without any, the mean over the visible pixels.
+    """
     points, values, on_visible, on_occluded = draw_depth_samples(batch, generator)
     average = lambda mask: (values * mask).sum(1) / mask.sum(1).clamp_min(1)
     valid = (batch["valid"] > 0).float()
     level = (batch["depth"][:, 0] * valid[:, 0]).sum((1, 2)) / valid[:, 0].sum((1, 2)).clamp_min(1)
-    reference = torch.where(
-        on_visible.any(1), average(on_visible), torch.where(on_occluded.any(1), average(on_occluded), level)
-    )
+    reference = torch.where(on_visible.any(1), average(on_visible), level)
     depth = (batch["depth"] - reference[:, None, None, None]) * valid
     control = batch["control"] - torch.stack([torch.zeros_like(reference)] * 2 + [reference], -1)[:, None, None]
     samples = (points, values - reference[:, None], on_visible, on_occluded)

@@ -27,6 +27,18 @@ impl SurfaceSamples {
         }
         samples
     }
+
+    /// Each point with the nearest of the other surface's points.
+    pub fn nearest_in(&self, other: &Self) -> Vec<(Point3<f64>, Point3<f64>)> {
+        let tree = other.tree();
+        let nearest = |p: &Point3<f64>| tree.nearest_neighbor([p.x, p.y, p.z]).map(|q| (*p, other.points[q.data]));
+        self.points.iter().filter_map(nearest).collect()
+    }
+
+    fn tree(&self) -> RTree<GeomWithData<[f64; 3], usize>> {
+        let entries = self.points.iter().enumerate().map(|(i, p)| GeomWithData::new([p.x, p.y, p.z], i));
+        RTree::bulk_load(entries.collect())
+    }
 }
 
 /// D_c and D_n: two-sided Chamfer distance and normal angle between two sampled surfaces.
@@ -34,12 +46,8 @@ impl SurfaceSamples {
 /// D_c = (sum |x - nearest y|^2 + sum |y - nearest x|^2) / (|X| + |Y|), squared length; D_n is the mean unsigned angle in
 /// degrees between the normals of the same pairs. Paper, Eqs. (12) to (14).
 pub fn chamfer(first: &SurfaceSamples, second: &SurfaceSamples) -> (f64, f64) {
-    let tree = |samples: &SurfaceSamples| {
-        let entries = samples.points.iter().enumerate().map(|(i, p)| GeomWithData::new([p.x, p.y, p.z], i));
-        RTree::bulk_load(entries.collect())
-    };
     let one_way = |from: &SurfaceSamples, to: &SurfaceSamples| {
-        let tree = tree(to);
+        let tree = to.tree();
         let (mut distance, mut angle) = (0.0, 0.0);
         for (p, n) in from.points.iter().zip(&from.normals) {
             if let Some(nearest) = tree.nearest_neighbor([p.x, p.y, p.z]) {

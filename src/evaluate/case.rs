@@ -1,0 +1,276 @@
+//! One sketch with its truth, through the whole pipeline.
+
+use super::metrics::{SurfaceSamples, chamfer, depth_errors, pair_angle_deg};
+use crate::control::Control;
+use crate::datagen::{MAP, Sample};
+use crate::error::Error;
+use crate::field::PolyVector;
+use crate::infer::{DepthPrediction, DirectionPrediction, MAP_HALF, Networks, SketchMaps, pixel_center};
+use crate::pipeline::{
+    FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface,
+};
+use crate::sketch::Layer;
+use crate::surface::{NurbsSurface, RefineOptions};
+use nalgebra::{Matrix4, Point3, Vector4};
+use std::collections::BTreeMap;
+
+/// What is measured, in the order of tables; each is raw canonical units or as its name says.
+pub const KEYS: [&str; 25] = [
+    "d_c",
+    "d_n_deg",
+    "d_c_network",
+    "d_n_network_deg",
+    "d_v",
+    "d_o",
+    "d_c_shear",
+    "d_v_shear",
+    "d_o_shear",
+    "d_v_plane",
+    "d_o_plane",
+    "cdf_angle_deg",
+    "e_smooth",
+    "p_max",
+    "p_mean",
+    "d_f_deg",
+    "reprojection_mean_px",
+    "reprojection_p95_px",
+    "deviation_max_edges",
+    "border_covered",
+    "conjugacy_mean",
+    "crossing_min_deg",
+    "irregular_vertices",
+    "sample_residual",
+    "total_ms",
+];
+
+/// The measures of one sketch.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Seed of the sketch.
+    pub seed: u64,
+    /// Kind of surface.
+    pub family: &'static str,
+    /// Whether a part of the surface is occluded.
+    pub occluded: bool,
+    /// Whether the strokes are drawn as by hand.
+    pub noisy: bool,
+    /// Number of depth samples.
+    pub samples: usize,
+    /// Measures by key; one that does not apply is missing.
+    pub values: BTreeMap<&'static str, f64>,
+    /// Why a stage refused the sketch.
+    pub failed: Option<String>,
+}
+
+/// Points a side of the surface samples for D_c and D_n; the paper's.
+const SURFACE_SIDE: usize = 100;
+/// Points along the border where its reprojection is measured.
+const BORDER_POINTS: usize = 400;
+
+/// Runs a sketch through networks and pipeline and compares with its truth.
+///
+/// # Errors
+/// Only what stops the whole evaluation: [`Error::Cancelled`]. A refused sketch is a case with `failed` set.
+pub fn measure(session: &mut Session, networks: &mut Networks, truth: &Sample) -> Result<Case, Error> {
+    let mut case = Case {
+        seed: truth.seed,
+        family: truth.family.name(),
+        occluded: truth.occluded,
+        noisy: truth.noisy,
+        samples: truth.sketch.depth_samples.len(),
+        values: BTreeMap::new(),
+        failed: None,
+    };
+    match fill(&mut case, session, networks, truth) {
+        Err(Error::Cancelled) => Err(Error::Cancelled),
+        Err(error) => {
+            case.failed = Some(error.to_string());
+            Ok(case)
+        }
+        Ok(()) => Ok(case),
+    }
+}
+
+fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
+    network_errors(case, networks, truth)?;
+    let unrefined = RefineOptions { iterations: 0, ..RefineOptions::default() };
+    let network = sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unrefined, ..Default::default() })?;
+    surface_errors(case, &network, truth, ["d_c_network", "d_n_network_deg"]);
+    let surface = sketch_to_surface(session, &truth.sketch, &SurfaceOptions::default())?;
+    let recovered = surface_errors(case, &surface, truth, ["d_c", "d_n_deg"]);
+    case.values.insert("d_c_shear", sheared_chamfer(&recovered, &truth.surface));
+    let [mean, p95] = reprojection(&recovered, truth);
+    case.values.insert("reprojection_mean_px", mean);
+    case.values.insert("reprojection_p95_px", p95);
+    if let Some(residual) = surface.report.sample_residual {
+        case.values.insert("sample_residual", residual * truth.patch.frame.scale);
+    }
+    let field = sketch_to_cdf(session, Some(&truth.sketch), &surface, &FieldOptions::default())?;
+    let mesh = extract_pq_mesh(session, &field, &MeshOptions::default())?;
+    let report = &mesh.report;
+    let from_report = [
+        ("e_smooth", report.e_smooth),
+        ("conjugacy_mean", report.conjugacy_mean),
+        ("crossing_min_deg", report.crossing_min_deg),
+        ("p_max", report.p_max),
+        ("p_mean", report.p_mean),
+        ("d_f_deg", report.d_f_deg),
+        ("deviation_max_edges", report.deviation_max_edges),
+        ("border_covered", report.border_covered),
+        ("irregular_vertices", report.irregular_vertices.map(|n| n as f64)),
+        ("total_ms", Some(report.time_ms.total())),
+    ];
+    case.values.extend(from_report.into_iter().filter_map(|(key, value)| Some((key, value?))));
+    Ok(())
+}
+
+/// Errors of VD-Net, OD-Net and CDF-Net on their own maps.
+fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
+    let samples = Layer::ALL.map(|layer| -> Vec<[f64; 3]> {
+        let of_layer = truth.patch.depth_samples.iter().filter(|s| s.layer == layer);
+        of_layer.map(|s| [s.position[0], s.position[1], s.depth]).collect()
+    });
+    let maps = SketchMaps {
+        strokes: &truth.raster.data,
+        visible_samples: &samples[0],
+        occluded_samples: &samples[1],
+        elevation_rad: truth.patch.view.elevation_rad(),
+    };
+    let control = Control::default();
+    let depths = networks.predict_depths(&maps, &control)?;
+    let slope = truth.patch.view.elevation_rad().tan().recip();
+    let pixels = MAP * MAP;
+    // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
+    let mut free = None;
+    for (index, layer) in Layer::ALL.into_iter().enumerate() {
+        let Some(predicted) = depths.depths(layer) else { continue };
+        let known: Vec<usize> = (0..pixels).filter(|k| truth.maps.valid[index * pixels + k] > 0).collect();
+        let positions: Vec<[f64; 2]> = known.iter().map(|&k| pixel_center(k)).collect();
+        let actual: Vec<f64> = known
+            .iter()
+            .zip(&positions)
+            .map(|(&k, p)| f64::from(truth.maps.depth[index * pixels + k]) + slope * p[1])
+            .collect();
+        let mut guess: Vec<f64> = known.iter().map(|&k| predicted[k]).collect();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let shift = if case.samples == 0 { *free.get_or_insert(mean(&actual) - mean(&guess)) } else { 0.0 };
+        guess.iter_mut().for_each(|d| *d += shift);
+        if let Some(errors) = depth_errors(&positions, &guess, &actual) {
+            let keys = [["d_v", "d_v_shear", "d_v_plane"], ["d_o", "d_o_shear", "d_o_plane"]][index];
+            case.values.extend(keys.into_iter().zip([errors.direct, errors.shear, errors.plane]));
+        }
+    }
+    let directions = networks.predict_directions(&maps, &depths, &control)?;
+    if let Some(angle) = direction_error(&directions, &depths, truth) {
+        case.values.insert("cdf_angle_deg", angle);
+    }
+    Ok(())
+}
+
+/// Mean angle between the predicted and the true cross over all pixels of both layers.
+fn direction_error(predicted: &DirectionPrediction, depths: &DepthPrediction, truth: &Sample) -> Option<f64> {
+    let pixels = MAP * MAP;
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (index, layer) in Layer::ALL.into_iter().enumerate() {
+        let coefficients = match layer {
+            Layer::Visible => Some(&predicted.visible),
+            Layer::Occluded => predicted.occluded.as_ref(),
+        };
+        let (Some(coefficients), Some(_)) = (coefficients, depths.layer(layer)) else { continue };
+        for k in 0..pixels {
+            let component = |c: usize| f64::from(truth.maps.directions[(index * 4 + c) * pixels + k]);
+            let actual = [[component(0), component(1)], [component(2), component(3)]];
+            if actual[0][0].hypot(actual[0][1]) < 0.5 {
+                continue;
+            }
+            let [u, v] = PolyVector::from_array(coefficients[k].map(f64::from)).directions();
+            sum += pair_angle_deg([[u.x, u.y], [v.x, v.y]], actual);
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// D_c and D_n of a result, returned in the canonical frame of the sketch and, without depth samples, moved to the truth's depth.
+fn surface_errors(case: &mut Case, result: &SurfaceResult, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
+    let view = &truth.patch.view;
+    let recovered = result.patches[0]
+        .surface
+        .mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)));
+    let shift = if case.samples == 0 { mean_z(&truth.surface) - mean_z(&recovered) } else { 0.0 };
+    let recovered = recovered.mapped(|p| Point3::new(p.x, p.y, p.z + shift));
+    let sampled = |surface: &NurbsSurface| SurfaceSamples::new(surface, SURFACE_SIDE);
+    let (distance, angle) = chamfer(&sampled(&recovered), &sampled(&truth.surface));
+    case.values.extend(keys.into_iter().zip([distance, angle]));
+    recovered
+}
+
+/// Mean z over the part of a surface that projects inside both, taken at even parameters.
+fn mean_z(surface: &NurbsSurface) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..40 {
+        for j in 0..40 {
+            let [u, v] = surface.at_fraction((i as f64 + 0.5) / 40.0, (j as f64 + 0.5) / 40.0);
+            sum += surface.point(u, v).z;
+        }
+    }
+    sum / 1600.0
+}
+
+/// D_c with the four parameters of depth that a sketch leaves open removed: z' = s z + a x + b y + t, fitted to the nearest points
+/// of the truth, four rounds.
+fn sheared_chamfer(recovered: &NurbsSurface, truth: &NurbsSurface) -> f64 {
+    let side = SURFACE_SIDE / 2;
+    let target = SurfaceSamples::new(truth, side);
+    let mut surface = recovered.clone();
+    let mut best = f64::INFINITY;
+    for _ in 0..4 {
+        let samples = SurfaceSamples::new(&surface, side);
+        best = best.min(chamfer(&samples, &target).0);
+        let (mut matrix, mut right) = (Matrix4::<f64>::identity() * 1e-9, Vector4::<f64>::zeros());
+        for (p, q) in samples.nearest_in(&target) {
+            let row = Vector4::new(p.z, p.x, p.y, 1.0);
+            matrix += row * row.transpose();
+            right += row * q.z;
+        }
+        let Some(x) = matrix.cholesky().map(|c| c.solve(&right)) else { break };
+        surface = surface.mapped(|p| Point3::new(p.x, p.y, x[0] * p.z + x[1] * p.x + x[2] * p.y + x[3]));
+    }
+    best.min(chamfer(&SurfaceSamples::new(&surface, side), &target).0)
+}
+
+/// Mean and 95th percentile of the distance from the surface's projected border to the true border, pixels of the 256 canvas.
+///
+/// The true border is the generator's surface itself, so that drawing noise in the strokes counts as an error.
+fn reprojection(recovered: &NurbsSurface, truth: &Sample) -> [f64; 2] {
+    let pixel = 2.0 * MAP_HALF / 256.0;
+    let line = border(&truth.surface, 4 * BORDER_POINTS);
+    let mut distances: Vec<f64> = border(recovered, BORDER_POINTS)
+        .into_iter()
+        .map(|p| {
+            let nearest = (0..line.len()).map(|i| {
+                let (a, b) = (line[i], line[(i + 1) % line.len()]);
+                let (ab, ap) = (b - a, p - a);
+                let t = (ap.dot(&ab) / ab.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+                (ap - ab * t).norm()
+            });
+            nearest.fold(f64::INFINITY, f64::min) / pixel
+        })
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+    [mean, distances[distances.len() * 95 / 100]]
+}
+
+/// The projected border of a surface, about `count` points.
+fn border(surface: &NurbsSurface, count: usize) -> Vec<nalgebra::Point2<f64>> {
+    let side = count / 4;
+    (0..4 * side)
+        .map(|k| {
+            let t = (k % side) as f64 / side as f64;
+            let (s, t) = [(t, 0.0), (1.0, t), (1.0 - t, 1.0), (0.0, 1.0 - t)][k / side];
+            let [u, v] = surface.at_fraction(s, t);
+            surface.point(u, v).xy()
+        })
+        .collect()
+}
