@@ -17,6 +17,7 @@
 pub mod control;
 pub mod datagen;
 pub mod error;
+pub mod evaluate;
 pub mod ffi;
 pub mod field;
 pub mod infer;

@@ -5,11 +5,11 @@ use crate::control::Control;
 use crate::datagen::{MAP, Sample};
 use crate::error::Error;
 use crate::field::PolyVector;
-use crate::infer::{DepthPrediction, DirectionPrediction, MAP_HALF, Networks, SketchMaps, pixel_center};
+use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
 use crate::pipeline::{
     FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface,
 };
-use crate::sketch::Layer;
+use crate::sketch::{CANONICAL_PER_PX, Layer, map_position};
 use crate::surface::{NurbsSurface, RefineOptions};
 use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
@@ -126,30 +126,20 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
 
 /// Errors of VD-Net, OD-Net and CDF-Net on their own maps.
 fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
-    let samples = Layer::ALL.map(|layer| -> Vec<[f64; 3]> {
-        let of_layer = truth.patch.depth_samples.iter().filter(|s| s.layer == layer);
-        of_layer.map(|s| [s.position[0], s.position[1], s.depth]).collect()
-    });
-    let maps = SketchMaps {
-        strokes: &truth.raster.data,
-        visible_samples: &samples[0],
-        occluded_samples: &samples[1],
-        elevation_rad: truth.patch.view.elevation_rad(),
-    };
+    let maps = SketchMaps::new(&truth.patch, &truth.raster);
     let control = Control::default();
     let depths = networks.predict_depths(&maps, &control)?;
-    let slope = truth.patch.view.elevation_rad().tan().recip();
     let pixels = MAP * MAP;
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
     let mut free = None;
     for (index, layer) in Layer::ALL.into_iter().enumerate() {
         let Some(predicted) = depths.depths(layer) else { continue };
         let known: Vec<usize> = (0..pixels).filter(|k| truth.maps.valid[index * pixels + k] > 0).collect();
-        let positions: Vec<[f64; 2]> = known.iter().map(|&k| pixel_center(k)).collect();
+        let positions: Vec<[f64; 2]> = known.iter().map(|&k| map_position(k / MAP, k % MAP, MAP)).collect();
         let actual: Vec<f64> = known
             .iter()
             .zip(&positions)
-            .map(|(&k, p)| f64::from(truth.maps.depth[index * pixels + k]) + slope * p[1])
+            .map(|(&k, p)| f64::from(truth.maps.depth[index * pixels + k]) + maps.slope * p[1])
             .collect();
         let mut guess: Vec<f64> = known.iter().map(|&k| predicted[k]).collect();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -243,7 +233,6 @@ fn sheared_chamfer(recovered: &NurbsSurface, truth: &NurbsSurface) -> f64 {
 ///
 /// The true border is the generator's surface itself, so that drawing noise in the strokes counts as an error.
 fn reprojection(recovered: &NurbsSurface, truth: &Sample) -> [f64; 2] {
-    let pixel = 2.0 * MAP_HALF / 256.0;
     let line = border(&truth.surface, 4 * BORDER_POINTS);
     let mut distances: Vec<f64> = border(recovered, BORDER_POINTS)
         .into_iter()
@@ -254,7 +243,7 @@ fn reprojection(recovered: &NurbsSurface, truth: &Sample) -> [f64; 2] {
                 let t = (ap.dot(&ab) / ab.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
                 (ap - ab * t).norm()
             });
-            nearest.fold(f64::INFINITY, f64::min) / pixel
+            nearest.fold(f64::INFINITY, f64::min) / CANONICAL_PER_PX
         })
         .collect();
     distances.sort_by(f64::total_cmp);

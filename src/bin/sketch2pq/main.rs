@@ -1,5 +1,6 @@
-//! The `sketch2pq` command: `run` a sketch, `generate` training data, `info` on what is installed.
+//! The `sketch2pq` command: `run` a sketch, `generate` training data, `evaluate` the whole pipeline, `info` on what is installed.
 
+mod evaluate;
 mod generate;
 mod info;
 mod run;
@@ -24,6 +25,7 @@ enum Command {
     /// Sketch (JSON or SVG) to surface.json, mesh.obj, report.json and picture.png.
     Run(run::Run),
     Generate(generate::Arguments),
+    Evaluate(evaluate::Evaluate),
     /// Versions, the backends that were found and why, the models.
     Info(info::Info),
 }
@@ -70,6 +72,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Run(command) => command.execute(),
         Command::Generate(arguments) => generate::run(arguments).map_err(|error| error.to_string()),
+        Command::Evaluate(command) => command.execute(),
         Command::Info(command) => command.execute(),
     };
     match outcome {
