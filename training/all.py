@@ -40,7 +40,9 @@ def main():
             "--minutes", arguments.hours * 60 * share, "--threads", arguments.threads, *extra,
         )
         run(sys.executable, "training/export.py", name, WORK / "runs" / name / "weights.pt")
-    run(sys.executable, "training/manifest.py")
+    run(sys.executable, "training/score.py", "--validation", WORK / "validation", "--threads", arguments.threads)
+    records = [part for name in SHARES for part in ("--record", f"{name}={WORK / 'runs' / name / 'record.json'}")]
+    run(sys.executable, "training/manifest.py", *records)
 
 
 if __name__ == "__main__":
