@@ -7,7 +7,8 @@ use crate::error::Error;
 use crate::field::PolyVector;
 use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
 use crate::pipeline::{
-    FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface,
+    FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
+    sketch_to_surface,
 };
 use crate::sketch::{CANONICAL_PER_PX, Layer, map_position};
 use crate::surface::{NurbsSurface, RefineOptions};
@@ -94,7 +95,8 @@ pub fn measure(session: &mut Session, networks: &mut Networks, truth: &Sample) -
 fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
     network_errors(case, networks, truth)?;
     let unrefined = RefineOptions { iterations: 0, ..RefineOptions::default() };
-    let network = sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unrefined, ..Default::default() })?;
+    let network =
+        sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unrefined, ..Default::default() })?;
     surface_errors(case, &network, truth, ["d_c_network", "d_n_network_deg"]);
     let surface = sketch_to_surface(session, &truth.sketch, &SurfaceOptions::default())?;
     let recovered = surface_errors(case, &surface, truth, ["d_c", "d_n_deg"]);
@@ -184,9 +186,7 @@ fn direction_error(predicted: &DirectionPrediction, depths: &DepthPrediction, tr
 /// D_c and D_n of a result, returned in the canonical frame of the sketch and, without depth samples, moved to the truth's depth.
 fn surface_errors(case: &mut Case, result: &SurfaceResult, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
     let view = &truth.patch.view;
-    let recovered = result.patches[0]
-        .surface
-        .mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)));
+    let recovered = result.patches[0].surface.mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)));
     let shift = if case.samples == 0 { mean_z(&truth.surface) - mean_z(&recovered) } else { 0.0 };
     let recovered = recovered.mapped(|p| Point3::new(p.x, p.y, p.z + shift));
     let sampled = |surface: &NurbsSurface| SurfaceSamples::new(surface, SURFACE_SIDE);

@@ -129,9 +129,8 @@ pub fn feature_alignment(
             let Some(nearest) = tree.nearest_neighbor([middle.x, middle.y]) else { continue };
             let corners: Vec<Point2<f64>> = mesh.face(nearest.data).iter().map(|&v| plane[v as usize]).collect();
             let edge = |i: usize| corners[(i + 1) % 4] - corners[i];
-            let angle = |family: Vector2<f64>| {
-                (tangent.perp(&family).abs()).atan2(tangent.dot(&family).abs()).to_degrees()
-            };
+            let angle =
+                |family: Vector2<f64>| (tangent.perp(&family).abs()).atan2(tangent.dot(&family).abs()).to_degrees();
             sum += angle(edge(0) - edge(2)).min(angle(edge(1) - edge(3)));
             count += 1;
         }

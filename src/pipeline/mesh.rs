@@ -7,8 +7,8 @@ use crate::control::Control;
 use crate::error::Error;
 use crate::field::MapOptions;
 use crate::mesh::{
-    BorderMode, ExtractOptions, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions, VertexKind, border_vertices,
-    edge_lengths, panels, planarize, write_obj,
+    BorderMode, ExtractOptions, ExtractedMesh, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions, Planarized,
+    VertexKind, border_vertices, edge_lengths, panels, planarize, write_obj,
 };
 use crate::surface::{NurbsSurface, SurfaceProjector};
 use nalgebra::{Point3, Vector3};
@@ -233,26 +233,26 @@ fn patch_mesh(
         }
     }
     let extract = ExtractOptions { border: options.border, ..ExtractOptions::default() };
-    let extracted = timed(&mut times.mesh, || {
-        panels(&patch.field, &patch.surface, target, &MapOptions::default(), &extract, control)
-    })?;
-    control.step("planarize", 0.0)?;
-    let outline = border_vertices(&extracted.mesh);
-    // Without the cut cells the mesh ends inside the surface's border and is free there.
-    let on_surface_border = |v: &u32| !matches!(extracted.origins[*v as usize].kind, VertexKind::Interior);
-    let held: Vec<u32> = outline.iter().copied().filter(on_surface_border).collect();
-    let strips = extracted.strips();
-    let planarized = timed(&mut times.planarize, || {
-        let projector = SurfaceProjector::new(&patch.surface);
-        let input = PlanarizeInput {
-            mesh: &extracted.mesh,
-            reference: Some(&projector),
-            border: &held,
-            pins: &[],
-            polylines: &strips,
-        };
-        planarize(&input, &PlanarizeOptions { target: options.planarity, ..PlanarizeOptions::default() }, control)
-    })?;
+    let mut best: Option<(ExtractedMesh, Vec<u32>, Planarized)> = None;
+    for factor in DENSITIES {
+        let extracted = timed(&mut times.mesh, || {
+            panels(&patch.field, &patch.surface, target.scaled(factor), &MapOptions::default(), &extract, control)
+        })?;
+        control.step("planarize", 0.0)?;
+        let outline = border_vertices(&extracted.mesh);
+        let planarized =
+            timed(&mut times.planarize, || flatten(&patch.surface, &extracted, &outline, options, control))?;
+        let better = best.as_ref().is_none_or(|(_, _, b)| planarized.planarity_max() < b.planarity_max());
+        if better {
+            best = Some((extracted, outline, planarized));
+        }
+        if best.as_ref().is_some_and(|(_, _, b)| b.planarity_max() <= FABRICATION_PLANARITY.max(options.planarity)) {
+            break;
+        }
+    }
+    let Some((extracted, outline, planarized)) = best else {
+        return Err(Error::NoMesh { reason: "no density was tried".into() });
+    };
     if options.strict && !planarized.is_planar {
         let (reached, rounds) = (planarized.planarity_max(), planarized.rounds);
         return Err(Error::NotPlanar { reached, target: options.planarity, rounds });
@@ -274,6 +274,56 @@ fn patch_mesh(
         feature_angle: [feature_angle[0] / scale, feature_angle[1] / scale],
         rounds: planarized.rounds,
     })
+}
+
+/// Planarity that a fabricator accepts in any case; above it, being planar goes before being close.
+const FABRICATION_PLANARITY: f64 = 1e-3;
+/// How much farther from the surface each further try may go.
+const WIDENING: [f64; 2] = [3.0, 9.0];
+
+/// Densities that are tried, as factors of the number of faces, until one gives panels that can be built flat. The integers of
+/// the map decide where panels fall on saddles and folds; another layout within the allowed face count often avoids the
+/// place where the first gets stuck.
+const DENSITIES: [f64; 5] = [1.0, 0.94, 1.06, 0.89, 1.11];
+
+/// Planarizes within the default deviation; where that leaves faces that nobody can build flat, allows more of it.
+///
+/// A sketch can ask for shapes whose panels are planar only some way off the surface. The report tells planarity and
+/// deviation both, so neither is traded silently.
+fn flatten(
+    surface: &NurbsSurface,
+    extracted: &ExtractedMesh,
+    outline: &[u32],
+    options: &MeshOptions,
+    control: &Control,
+) -> Result<Planarized, Error> {
+    // Without the cut cells the mesh ends inside the surface's border and is free there.
+    let on_surface_border = |v: &u32| !matches!(extracted.origins[*v as usize].kind, VertexKind::Interior);
+    let held: Vec<u32> = outline.iter().copied().filter(on_surface_border).collect();
+    let strips = extracted.strips();
+    let projector = SurfaceProjector::new(surface);
+    let input = PlanarizeInput {
+        mesh: &extracted.mesh,
+        reference: Some(&projector),
+        border: &held,
+        pins: &[],
+        polylines: &strips,
+    };
+    let target = options.planarity;
+    let options = PlanarizeOptions { target, ..PlanarizeOptions::default() };
+    let mut best = planarize(&input, &options, control)?;
+    let limit = best.deviation_limit;
+    for factor in WIDENING {
+        if best.planarity_max() <= FABRICATION_PLANARITY.max(target) {
+            break;
+        }
+        let wider = PlanarizeOptions { deviation: Some(limit * factor), ..options.clone() };
+        let next = planarize(&input, &wider, control)?;
+        if next.planarity_max() < best.planarity_max() {
+            best = next;
+        }
+    }
+    Ok(best)
 }
 
 /// Samples of each side of the surface's border.
