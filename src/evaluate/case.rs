@@ -169,13 +169,13 @@ fn direction_error(predicted: &DirectionPrediction, depths: &DepthPrediction, tr
             Layer::Occluded => predicted.occluded.as_ref(),
         };
         let (Some(coefficients), Some(_)) = (coefficients, depths.layer(layer)) else { continue };
-        for k in 0..pixels {
+        for (k, predicted) in coefficients.iter().enumerate() {
             let component = |c: usize| f64::from(truth.maps.directions[(index * 4 + c) * pixels + k]);
             let actual = [[component(0), component(1)], [component(2), component(3)]];
             if actual[0][0].hypot(actual[0][1]) < 0.5 {
                 continue;
             }
-            let [u, v] = PolyVector::from_array(coefficients[k].map(f64::from)).directions();
+            let [u, v] = PolyVector::from_array(predicted.map(f64::from)).directions();
             sum += pair_angle_deg([[u.x, u.y], [v.x, v.y]], actual);
             count += 1;
         }
