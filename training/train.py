@@ -31,6 +31,17 @@ def average(values):
     return float(numpy.mean(values)) if len(values) else float("nan")
 
 
+def initial_weights(path):
+    """The parameters in a weights.pt, or in an exported .onnx file (fp16 precision)."""
+    if not str(path).endswith(".onnx"):
+        return torch.load(path, weights_only=True)
+    import onnx
+
+    tensors = {t.name.removesuffix("_fp16"): onnx.numpy_helper.to_array(t) for t in onnx.load(path).graph.initializer}
+    wanted = nets.make(pathlib.Path(path).stem).state_dict()
+    return {name: torch.from_numpy(tensors[name].astype("float32")) if name in tensors else value for name, value in wanted.items()}
+
+
 class Run:
     """A network, its moving average, the optimizer, and where they are stored."""
 
@@ -54,7 +65,7 @@ class Run:
             self.average.load_state_dict(stored["average"])
         else:
             if initial:
-                self.model.load_state_dict(torch.load(initial, weights_only=True))
+                self.model.load_state_dict(initial_weights(initial))
             self.average = copy.deepcopy(self.model)
 
     def save(self):
