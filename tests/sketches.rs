@@ -1,7 +1,11 @@
 //! The example sketches are understood as what they show; the broken ones are refused with the reason.
 
 use sketch2pq::Error;
-use sketch2pq::sketch::{Layer, Orientation, Sketch, Stroke, StrokeKind, View, rasterize, read_sketch, understand};
+use sketch2pq::sketch::{
+    CANONICAL_PER_PX, CanonicalFrame, Layer, Orientation, Sketch, Stroke, StrokeKind, View, rasterize, read_sketch,
+    understand,
+};
+use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 fn folder(name: &str) -> PathBuf {
@@ -142,4 +146,130 @@ fn a_million_scribbled_points_end_quickly() {
         depth_samples: vec![],
     };
     assert!(matches!(understand(&sketch), Err(Error::TooLarge { limit: 100_000, .. })));
+}
+
+/// Xorshift: enough chance for a test, the same everywhere.
+struct Dice(u64);
+
+impl Dice {
+    fn range(&mut self, low: f64, high: f64) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        low + (high - low) * ((self.0 >> 11) as f64 / (1u64 << 53) as f64)
+    }
+}
+
+/// Draws a stroke again: wobble of about a pixel, ends up to 2.5 px short or long, on top of what the example has, in either direction.
+fn redraw(points: &[[f64; 2]], px: f64, dice: &mut Dice) -> Vec<[f64; 2]> {
+    let waves: Vec<[f64; 4]> = (0..3)
+        .map(|_| [dice.range(0.0, TAU), dice.range(0.2, 0.7) * px, dice.range(25.0, 120.0) * px, dice.range(0.0, TAU)])
+        .collect();
+    let mut length = 0.0;
+    let mut drawn: Vec<[f64; 2]> = vec![];
+    for (i, &[x, y]) in points.iter().enumerate() {
+        let [u, v] = points[i.saturating_sub(1)];
+        length += (x - u).hypot(y - v);
+        let sum = |f: fn(f64) -> f64| -> f64 {
+            waves.iter().map(|[angle, size, wave, phase]| f(*angle) * size * (length / wave * TAU + phase).sin()).sum()
+        };
+        drawn.push([x + sum(f64::cos), y + sum(f64::sin)]);
+    }
+    for _ in 0..2 {
+        let reach = dice.range(-2.5, 2.5) * px;
+        let [x, y] = drawn[drawn.len() - 1];
+        let distance = |p: &[f64; 2]| (p[0] - x).hypot(p[1] - y);
+        if reach < 0.0 {
+            let kept = drawn.iter().rposition(|p| distance(p) >= -reach).unwrap_or(0);
+            drawn.truncate(kept.max(3) + 1);
+        } else if let Some(back) = drawn.iter().rev().find(|p| distance(p) > 5.0 * px) {
+            let d = distance(back);
+            drawn.push([x + (x - back[0]) / d * reach, y + (y - back[1]) / d * reach]);
+        }
+        drawn.reverse();
+    }
+    if dice.range(0.0, 1.0) < 0.5 {
+        drawn.reverse();
+    }
+    drawn
+}
+
+#[test]
+fn every_hand_draws_the_same_regions() {
+    let names = [
+        "rounded_corner",
+        "results_left",
+        "results_right",
+        "dome",
+        "saddle",
+        "barrel_vault",
+        "leaning_shell",
+        "front_foldover",
+    ];
+    let mut dice = Dice(0x9E37_79B9_7F4A_7C15);
+    for name in names {
+        let original = read_sketch(&folder("examples/sketches").join(format!("{name}.json"))).unwrap();
+        let structural = original.strokes.iter().filter(|s| s.kind.is_structural());
+        let frame = CanonicalFrame::fitting(structural.flat_map(|s| s.points.iter().copied())).unwrap();
+        let px = CANONICAL_PER_PX / frame.scale;
+        let regions = |sketch: &Sketch| {
+            let patch = understand(sketch).unwrap_or_else(|e| panic!("{name}: {e}")).patches.remove(0);
+            let large: Vec<_> =
+                patch.regions.iter().filter(|r| r.area > 0.3).map(|r| (r.visible, r.occluded)).collect();
+            let count = |side| large.iter().filter(|r| r.0 == side).count();
+            [count(Orientation::Front), count(Orientation::Back), large.iter().filter(|r| r.1.is_some()).count()]
+        };
+        let expected = regions(&original);
+        for _ in 0..15 {
+            let mut sketch = original.clone();
+            sketch.depth_samples.clear();
+            sketch.strokes.clear();
+            for stroke in &original.strokes {
+                let n = stroke.points.len();
+                let middle = (n as f64 * dice.range(0.3, 0.7)) as usize;
+                let split = stroke.kind.is_structural() && n > 40 && dice.range(0.0, 1.0) < 0.4;
+                let pieces = if split {
+                    vec![&stroke.points[..=middle], &stroke.points[middle..]]
+                } else {
+                    vec![&stroke.points[..]]
+                };
+                for piece in pieces {
+                    let place = dice.range(0.0, sketch.strokes.len() as f64 + 1.0) as usize;
+                    sketch.strokes.insert(place, Stroke { kind: stroke.kind, points: redraw(piece, px, &mut dice) });
+                }
+            }
+            assert_eq!(regions(&sketch), expected, "{name}");
+        }
+    }
+}
+
+#[test]
+fn random_strokes_give_an_answer() {
+    for seed in 1..400u64 {
+        let mut dice = Dice(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let count = dice.range(1.0, 13.0) as usize;
+        let strokes = (0..count).map(|_| {
+            let kind = StrokeKind::ALL[dice.range(0.0, 3.3) as usize];
+            let (mut p, mut angle, step) =
+                ([dice.range(0.0, 256.0), dice.range(0.0, 256.0)], dice.range(0.0, TAU), dice.range(0.0, 12.0));
+            let on_grid = dice.range(0.0, 1.0) < 0.4;
+            let points = (0..dice.range(1.0, 120.0) as usize).map(|_| {
+                angle += dice.range(-0.6, 0.7);
+                p = [p[0] + step * angle.cos(), p[1] + step * angle.sin()];
+                if on_grid { p.map(|x| (x / 32.0).round() * 32.0) } else { p }
+            });
+            Stroke { kind, points: points.collect() }
+        });
+        let sketch = Sketch {
+            name: String::new(),
+            canvas_size: [256.0; 2],
+            view: View::default(),
+            strokes: strokes.collect(),
+            depth_samples: vec![],
+        };
+        for patch in understand(&sketch).map(|u| u.patches).unwrap_or_default() {
+            assert!(!patch.regions.is_empty() && patch.border.len() > 3);
+            assert!(rasterize(&patch).data.iter().all(|x| x.is_finite()));
+        }
+    }
 }

@@ -5,13 +5,16 @@
 
 use super::fit::{move_end, smooth_joint};
 use super::polyline::{
-    Point, SegmentGrid, arc_lengths, closest, distance, length, lerp, meet, part, point_at, signed_area, sub,
+    Point, SegmentGrid, arc_lengths, closest, cross, distance, dot, length, lerp, meet, part, point_at, signed_area,
+    sub,
 };
 use super::stroke::StrokeKind;
 use std::collections::BTreeMap;
 
 /// Ends of strokes that miss each other, or another stroke, by at most this belong together, px (3 % of the canvas).
 pub(crate) const SNAP_PX: f64 = 8.0;
+/// Wider gaps and overlaps, px, are closed only where nothing nearer is left to join and the junction becomes complete.
+const FAR_PX: f64 = 16.0;
 /// Over how much of a stroke the displacement of its end is spread, px.
 const SPREAD_PX: f64 = 15.0;
 /// Free ends shorter than this beyond a crossing are overshoots, px.
@@ -23,6 +26,8 @@ const SLIVER_PX2: f64 = 6.0;
 /// Loops of a line with itself below this length and area are drawing noise, px and px^2.
 const LOBE_PX: f64 = 80.0;
 const LOBE_PX2: f64 = 40.0;
+/// Edges shorter than this are contracted, px.
+const TINY_PX: f64 = 0.6;
 /// Crossings closer than this are one, px.
 const MERGE_PX: f64 = 0.05;
 
@@ -138,7 +143,7 @@ pub(crate) fn arrange(curves: &[Curve]) -> Result<Arrangement, Flaw> {
     let mut pieces = snap(&curves, &mut nodes);
     weld(&mut pieces, &mut nodes);
     let edges = cut(&pieces, &mut nodes)?;
-    let edges = prune(edges, &nodes)?;
+    let edges = prune(contract(edges, &nodes), &nodes)?;
     if edges.is_empty() {
         return Err(Flaw::NoOutline);
     }
@@ -161,6 +166,17 @@ struct Contact {
 enum Target {
     End(usize),
     Interior { curve: usize, s: f64 },
+}
+
+/// How hard ends are brought together, in this order.
+#[derive(Clone, Copy, PartialEq)]
+enum Search {
+    /// Ends that need each other, within [`SNAP_PX`].
+    Complete,
+    /// What makes a junction complete, within [`FAR_PX`].
+    Far,
+    /// Whatever lies within [`SNAP_PX`].
+    Near,
 }
 
 /// Ends that meet in one node, possibly in the interior of a curve.
@@ -261,9 +277,12 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
     // together are complete, then in any case. After each step nearer contacts may have become possible.
     let patience = 4_000_000 / (open.len() + 1);
     for _ in 0..patience {
-        let step = [true, false].into_iter().find_map(|strict| {
+        let step = [Search::Complete, Search::Far, Search::Near].into_iter().find_map(|search| {
             (0..open.len()).find_map(|k| {
                 let a = cluster_of[open[k].end];
+                if search != Search::Far && open[k].distance > SNAP_PX {
+                    return None;
+                }
                 match open[k].target {
                     Target::Interior { curve, s } => (!clusters[a].is_complete(curves)).then(|| {
                         let mut cluster = clusters[a].clone();
@@ -280,7 +299,9 @@ fn clusters(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Cluster>
                             return None;
                         }
                         let joined = clusters[a].joined(&clusters[b], curves, &total)?;
-                        let wanted = !strict || complete == [false, false] || joined.is_complete(curves);
+                        let wanted = joined.is_complete(curves)
+                            || search == Search::Near
+                            || (search == Search::Complete && complete == [false, false]);
                         wanted.then_some((k, a, joined))
                     }
                 }
@@ -464,6 +485,20 @@ fn joins_both_ends(a: &Cluster, b: &Cluster, total: &impl Fn(usize) -> f64) -> b
     a.ends.iter().any(|&e| b.ends.iter().any(|&f| e / 2 == f / 2 && total(e / 2) < 4.0 * SNAP_PX))
 }
 
+/// Whether two ends point at each other along one line, with a gap or an overlap.
+fn faces_end(curves: &[Curve], e: usize, f: usize) -> bool {
+    let ray = |end: usize| {
+        let points = &curves[end / 2].points;
+        let at = |i: usize| points[if end.is_multiple_of(2) { i } else { points.len() - 1 - i }];
+        let back = at(10.min(points.len() - 1));
+        let d = sub(at(0), back);
+        let norm = d[0].hypot(d[1]).max(f64::MIN_POSITIVE);
+        (at(0), d.map(|x| x / norm))
+    };
+    let ((p, u), (q, v)) = (ray(e), ray(f));
+    dot(u, v) < -0.8 && cross(u, sub(q, p)).abs() < 0.5 * SNAP_PX
+}
+
 /// A stretch of a curve close to an end: its nearest point, and the arc length up to which it was followed.
 struct Pass {
     curve: usize,
@@ -472,7 +507,7 @@ struct Pass {
     last: f64,
 }
 
-/// All contacts within [`SNAP_PX`], nearest first.
+/// All contacts within [`FAR_PX`], nearest first.
 fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact> {
     let mut segments = vec![];
     let mut owner = vec![];
@@ -489,11 +524,13 @@ fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact>
     for (e, &p) in ends.iter().enumerate() {
         for (f, &q) in ends.iter().enumerate().skip(e + 1) {
             let d = distance(p, q);
-            if d <= SNAP_PX {
+            if d <= FAR_PX {
+                // A line that goes on is likelier than one that stops at another.
+                let d = if curves[e / 2].kind == curves[f / 2].kind && faces_end(curves, e, f) { 0.5 * d } else { d };
                 contacts.push(Contact { distance: d, end: e, target: Target::End(f) });
             }
         }
-        let reach = SNAP_PX;
+        let reach = FAR_PX;
         grid.near(&[[p[0] - reach, p[1] - reach], [p[0] + reach, p[1] + reach]], &mut found);
         // A curve may pass several times.
         let mut passes: Vec<Pass> = vec![];
@@ -513,7 +550,7 @@ fn contacts(curves: &[Curve], arcs: &[Vec<f64>], ends: &[Point]) -> Vec<Contact>
             // Near an end that is itself within reach, the ends belong together, unless the line itself is much nearer.
             let end_distance = |side: usize, along: f64| {
                 let d = distance(p, ends[2 * c + side]);
-                if along < 1.5 * SNAP_PX && d <= SNAP_PX { d } else { f64::INFINITY }
+                if along < 1.5 * SNAP_PX && d <= FAR_PX { d } else { f64::INFINITY }
             };
             let to_end = end_distance(0, s).min(end_distance(1, whole - s));
             if d > reach || d >= 0.5 * to_end.min(2.0 * reach + 1.0) {
@@ -736,6 +773,32 @@ fn cut(pieces: &[Piece], nodes: &mut Vec<Point>) -> Result<Vec<Edge>, Flaw> {
         }
     }
     Ok(edges)
+}
+
+/// Lets nodes that a tiny edge connects fall together; such edges have no direction that could be trusted.
+fn contract(edges: Vec<Edge>, nodes: &[Point]) -> Vec<Edge> {
+    let mut target: BTreeMap<usize, usize> = BTreeMap::new();
+    let find = |target: &BTreeMap<usize, usize>, mut n: usize| {
+        while let Some(&t) = target.get(&n) {
+            n = t;
+        }
+        n
+    };
+    let tiny = |e: &Edge| length(&e.points) < TINY_PX;
+    for e in edges.iter().filter(|e| tiny(e)) {
+        let [a, b] = e.nodes.map(|n| find(&target, n));
+        if a != b {
+            target.insert(a.max(b), a.min(b));
+        }
+    }
+    let mut kept: Vec<Edge> = edges.into_iter().filter(|e| !tiny(e)).collect();
+    for e in &mut kept {
+        e.nodes = e.nodes.map(|n| find(&target, n));
+        let last = e.points.len() - 1;
+        e.points[0] = nodes[e.nodes[0]];
+        e.points[last] = nodes[e.nodes[1]];
+    }
+    kept
 }
 
 // --- pruning ------------------------------------------------------------------------------------------------------------
@@ -1018,23 +1081,24 @@ fn faces(edges: Vec<Edge>, nodes: Vec<Point>) -> Arrangement {
 /// Widest area between two lines that run side by side in the wrong order, px.
 const TANGLE_PX: f64 = 5.0;
 
-/// Where an occluded boundary crosses the line just in front of it by the unsteadiness of the hand, the outer one is that
-/// line.
+/// Where a line crosses the one just in front of it by the unsteadiness of the hand, the outer one is that in front: contours
+/// lie before visible boundaries, and those before occluded ones.
 fn untangle(arrangement: &mut Arrangement) {
     for f in 1..arrangement.faces.len() {
         let [cycle] = &arrangement.faces[f].cycles[..] else { continue };
         let &[g, h] = &cycle[..] else { continue };
-        let is_occluded = |h: usize| arrangement.edges[h / 2].kind == StrokeKind::OccludedBoundary;
-        let (front, behind) = if is_occluded(h) { (g, h) } else { (h, g) };
-        let outside = [front, behind].map(|h| arrangement.face_of[h ^ 1] == 0);
-        let long = length(&arrangement.edges[behind / 2].points);
-        if is_occluded(behind)
-            && !is_occluded(front)
-            && outside == [false, true]
-            && arrangement.faces[f].area < TANGLE_PX * long
-        {
-            arrangement.edges[behind / 2].kind = arrangement.edges[front / 2].kind;
-            arrangement.edges[front / 2].kind = StrokeKind::OccludedBoundary;
+        let (outer, inner) = if arrangement.face_of[g ^ 1] == 0 { (g, h) } else { (h, g) };
+        let outside = [outer, inner].map(|h| arrangement.face_of[h ^ 1] == 0);
+        let rank = |h: usize| match arrangement.edges[h / 2].kind {
+            StrokeKind::Contour => 2,
+            StrokeKind::VisibleBoundary => 1,
+            StrokeKind::OccludedBoundary | StrokeKind::Feature => 0,
+        };
+        let long = length(&arrangement.edges[inner / 2].points);
+        if outside == [true, false] && rank(outer) < rank(inner) && arrangement.faces[f].area < TANGLE_PX * long {
+            let kinds = [outer, inner].map(|h| arrangement.edges[h / 2].kind);
+            arrangement.edges[outer / 2].kind = kinds[1];
+            arrangement.edges[inner / 2].kind = kinds[0];
         }
     }
 }

@@ -138,6 +138,8 @@ pub(crate) fn inside<'a>(rings: impl IntoIterator<Item = &'a Vec<Point>>, p: Poi
 }
 
 /// Where two segments meet, as fractions along each; `None` if they do not, or are parallel.
+///
+/// A crossing at a vertex is found on both sides of it, since rounding could else lose it between the two.
 pub(crate) fn meet(a: [Point; 2], b: [Point; 2]) -> Option<(f64, f64)> {
     let (da, db, ab) = (sub(a[1], a[0]), sub(b[1], b[0]), sub(b[0], a[0]));
     let denominator = cross(da, db);
@@ -145,7 +147,8 @@ pub(crate) fn meet(a: [Point; 2], b: [Point; 2]) -> Option<(f64, f64)> {
         return None;
     }
     let (t, u) = (cross(ab, db) / denominator, cross(ab, da) / denominator);
-    ((0.0..=1.0).contains(&t) && (0.0..=1.0).contains(&u)).then_some((t, u))
+    let range = -1e-9..=1.0 + 1e-9;
+    (range.contains(&t) && range.contains(&u)).then_some((t.clamp(0.0, 1.0), u.clamp(0.0, 1.0)))
 }
 
 /// Buckets of segments on a uniform grid, to find those near a box.

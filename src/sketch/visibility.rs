@@ -24,6 +24,8 @@ const MAX_STROKES: usize = 2_000;
 const MAX_COORDINATE: f64 = 1e150;
 /// Strokes smaller than this are slips of the pen, px.
 const MIN_STROKE_PX: f64 = 1.5;
+/// Regions smaller than this are not listed, px^2.
+const MIN_REGION_PX2: f64 = 0.1;
 /// Pieces of feature lines shorter than this say nothing, px.
 const MIN_FEATURE_PX: f64 = 4.0;
 /// Depth samples this far outside their region still belong to it, px.
@@ -309,7 +311,11 @@ fn outlines(
         }
     }
     let features = clip_features(&arrangement, &features_px);
-    patches.push(patch(&frame, &arrangement, meaning, features));
+    let patch = patch(&frame, &arrangement, meaning, features);
+    if patch.regions.is_empty() {
+        return Err(Error::NoOutline);
+    }
+    patches.push(patch);
     Ok(())
 }
 
@@ -839,6 +845,8 @@ fn patch(frame: &PixelFrame, arrangement: &Arrangement, meaning: Meaning, featur
             }
         })
         .collect();
+    // Lines drawn exactly over each other may leave areas without extent.
+    regions.retain(|r| r.area > MIN_REGION_PX2 * CANONICAL_PER_PX * CANONICAL_PER_PX);
     regions.sort_by(|a, b| b.area.total_cmp(&a.area));
 
     let mut loop_points: Vec<BorderPoint> = vec![];
