@@ -172,10 +172,16 @@ fn plane_fit(map: &LayerMap, p: [f64; 2], tangent: [f64; 2], front: bool) -> Opt
     let [column, row] = map.to_pixels(p);
     let (c0, r0) = (column.round() as isize, row.round() as isize);
     let n = map.size as isize;
+    let bell = |d: f64| (-d * d / (2.0 * WINDOW_DEVIATION * WINDOW_DEVIATION)).exp();
+    let mut across = [0.0; 2 * WINDOW as usize + 1];
+    for (value, c) in across.iter_mut().zip(c0 - WINDOW..) {
+        *value = bell(c as f64 - column);
+    }
     let mut matrix = Matrix3::zeros();
     let mut right = Vector3::zeros();
     let (mut total, mut slopes) = (0.0, Vector3::zeros());
     for r in (r0 - WINDOW).max(0)..=(r0 + WINDOW).min(n - 1) {
+        let along = bell(row - r as f64);
         for c in (c0 - WINDOW).max(0)..=(c0 + WINDOW).min(n - 1) {
             let k = (r * n + c) as usize;
             if !map.valid[k] || map.front[k] != front {
@@ -186,7 +192,7 @@ fn plane_fit(map: &LayerMap, p: [f64; 2], tangent: [f64; 2], front: bool) -> Opt
             if (if front { left } else { -left }) < -SIDE_SLACK {
                 continue;
             }
-            let weight = (-(dx * dx + dy * dy) / (2.0 * WINDOW_DEVIATION * WINDOW_DEVIATION)).exp();
+            let weight = along * across[(c - c0 + WINDOW) as usize];
             let basis = Vector3::new(1.0, dx, dy);
             matrix += basis * basis.transpose() * weight;
             right += basis * (weight * map.depth[k]);

@@ -265,15 +265,21 @@ fn nearest_inside(n: usize, ring: &[u8]) -> Vec<u32> {
     for c in 0..n {
         for r in 0..n {
             let mut best = usize::MAX;
-            for q in 0..n {
-                let column = in_row[q * n + c];
-                if column == u32::MAX {
-                    continue;
+            // Rows from here outwards, until they alone are farther than the best pixel.
+            for offset in 0..n {
+                if offset * offset >= best {
+                    break;
                 }
-                let squared = r.abs_diff(q).pow(2) + c.abs_diff(column as usize).pow(2);
-                if squared < best {
-                    best = squared;
-                    nearest[r * n + c] = (q * n) as u32 + column;
+                for q in [r.checked_sub(offset), Some(r + offset).filter(|&q| q < n)].into_iter().flatten() {
+                    let column = in_row[q * n + c];
+                    if column == u32::MAX {
+                        continue;
+                    }
+                    let squared = offset * offset + c.abs_diff(column as usize).pow(2);
+                    if squared < best {
+                        best = squared;
+                        nearest[r * n + c] = (q * n) as u32 + column;
+                    }
                 }
             }
         }

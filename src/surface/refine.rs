@@ -71,7 +71,7 @@ pub struct RefineReport {
     pub sample_residual: f64,
     /// Depth samples whose line of sight misses their layer.
     pub samples_missed: usize,
-    /// Places where neighbouring normals (1/47 of the domain apart) point in opposite directions: folds and cusps.
+    /// Places where neighbouring normals (1/39 of the domain apart) point in opposite directions: folds and cusps.
     pub folds: usize,
     /// Share of the surface whose side facing the viewer is not drawn there, by the regions of the sketch.
     pub misfacing: f64,
@@ -88,8 +88,9 @@ pub struct Refined {
     pub report: RefineReport,
 }
 
-/// Samples in each direction: 1.75 a knot span for 30 control points, enough since fairness ties neighbours.
-const GRID: usize = 48;
+/// Samples in each direction: 1.5 a knot span for 30 control points, enough since fairness ties neighbours; 48 gave the same
+/// surfaces a third slower.
+const GRID: usize = 40;
 
 // Weights. All data terms are means over the patch or over a stroke, in canonical units squared, so that they do not
 // depend on the sampling; depth is the unit.
@@ -106,23 +107,25 @@ const SLIDING_WEIGHT: f64 = 0.005;
 const BEYOND_WEIGHT: f64 = 0.03;
 /// Each corner.
 const CORNER_WEIGHT: f64 = 5.0;
-/// Contour strokes, mean over the silhouette.
-const CONTOUR_WEIGHT: f64 = 5.0;
+/// Contour strokes, mean over the silhouette. More makes matters worse: a strong pull on the few rows of control points at the
+/// fold bunches up their parameter lines.
+const CONTOUR_WEIGHT: f64 = 2.0;
 /// Each depth sample.
 const SAMPLE_WEIGHT: f64 = 5.0;
 /// Parts of the surface that project outside the regions of their orientation, squared distance.
 const OUTSIDE_WEIGHT: f64 = 0.3;
 /// Fairness: integrals of S_uuu^2 + S_vvv^2 over the unit square. The third derivative does not flatten domes as the
-/// second does. Waves beyond about five a side are damped: 1 / (2 pi 5)^6 = 1e-9.
-const FAIRNESS_WEIGHT: f64 = 3e-9;
+/// second does. Waves beyond about five a side are damped: 1 / (2 pi 4.5)^6 = 2e-9.
+const FAIRNESS_WEIGHT: f64 = 2e-9;
 /// Evenness of the parametrization: integrals of the squared slopes of the displacement from the start, in x and y.
 const EVENNESS_WEIGHT: f64 = 3e-3;
 /// The same in z, only against drift where no map is valid.
 const EVENNESS_DEPTH_WEIGHT: f64 = 1e-5;
 /// Closeness to the start, mean squared displacement.
 const CLOSENESS_WEIGHT: f64 = 1e-4;
-/// Depth residuals beyond this count less and less (Cauchy): maps are wrong by whole layers at occlusions.
-const ROBUST_DEPTH: f64 = 0.5;
+/// Depth residuals r beyond this, s, count less and less, 2 s^2 (1 - (1 + r^2 / s^2)^(-1/2)): maps are wrong by whole layers at
+/// occlusions.
+const ROBUST_DEPTH: f64 = 0.7;
 /// Silhouette points farther than this from the contour strokes count less and less (Cauchy), canonical units: they may be
 /// ripples of an unfinished surface.
 const ROBUST_CONTOUR: f64 = 0.2;
@@ -139,12 +142,12 @@ const UNFOLDING_ROUNDS: usize = 3;
 /// Highest factor on the evenness of the parametrization.
 const STIFFEST: f64 = 512.0;
 /// Conjugate gradient steps for one Gauss-Newton step, and the share of the preconditioned residual that remains.
-const CG_STEPS: usize = 20;
-const CG_TOLERANCE: f64 = 0.05;
+const CG_STEPS: usize = 14;
+const CG_TOLERANCE: f64 = 0.1;
 /// Sine of the angle between S_u and S_v below which a sample has no reliable normal.
 const FOLD_SINE: f64 = 0.1;
 /// A relative decrease of the energy below this ends the iteration.
-const CONVERGED: f64 = 1e-2;
+const CONVERGED: f64 = 2e-2;
 /// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
 const CORRECTION_RANGE: f64 = 2.0;
 
@@ -246,7 +249,7 @@ struct Refiner<'a> {
     fairness: [Banded; 2],
     /// Evenness and closeness, for x and y, and for z.
     evenness: [[Banded; 2]; 2],
-    /// Factor on evenness and on sliding: high in the first steps, and where the parametrization would fold.
+    /// Factor on evenness: high in the first steps, and where the parametrization would fold.
     stiffness: f64,
     /// Fairness plus evenness times stiffness, for x and y, and for z.
     regularity: [[Banded; 2]; 2],
@@ -256,6 +259,8 @@ struct Refiner<'a> {
 /// The energy at one net and its quadratic model: half the gradient, and what its Gauss-Newton Hessian is made of.
 struct Model {
     energy: f64,
+    /// Energy and half its gradient without fairness, evenness and closeness.
+    data: (f64, Vec<f64>),
     folds: usize,
     depth_squared: f64,
     gradient: Vec<f64>,
@@ -398,7 +403,7 @@ impl<'a> Refiner<'a> {
         let (first_energy, allowed) = (model.energy, model.folds);
         // Far from the goal, steps are large: parameter lines first move like a membrane.
         self.stiffen(FIRST_STIFFNESS);
-        model = self.linearize(&net);
+        self.regularize(&net, &mut model);
         let mut unfolding = false;
         // The best net without a new fold: large steps may fold for a moment, the result must not.
         let mut unfolded = None;
@@ -429,7 +434,7 @@ impl<'a> Refiner<'a> {
             }
             if !unfolding && self.stiffness > 1.0 {
                 self.stiffen((self.stiffness / 8.0).max(1.0));
-                model = self.linearize(&net);
+                self.regularize(&net, &mut model);
                 continue;
             }
             if converged || round + UNFOLDING_ROUNDS >= iterations {
@@ -440,7 +445,7 @@ impl<'a> Refiner<'a> {
                     }
                 } else if self.stiffness < STIFFEST {
                     self.stiffen(self.stiffness * 8.0);
-                    model = self.linearize(&net);
+                    self.regularize(&net, &mut model);
                 } else if converged {
                     break;
                 }
@@ -546,9 +551,10 @@ impl<'a> Refiner<'a> {
                     Association::Plane { normal: target, residual, confidence, outside } => {
                         let ratio = (residual / ROBUST_DEPTH).powi(2);
                         let area = full * confidence;
-                        energy += area * ROBUST_DEPTH * ROBUST_DEPTH * ratio.ln_1p();
+                        let root = (1.0 + ratio).sqrt();
+                        energy += area * ROBUST_DEPTH * ROBUST_DEPTH * 2.0 * (1.0 - 1.0 / root);
                         depth_squared += area * residual * residual;
-                        let weight = area / (1.0 + ratio);
+                        let weight = area / (root * root * root);
                         add_row(&mut weights[k], &mut slopes, k, target, weight, residual);
                         let weight = weight * NORMAL_WEIGHT;
                         let (wu, wv) = (
@@ -592,6 +598,16 @@ impl<'a> Refiner<'a> {
         for row in &rows {
             self.add_row_adjoint(row, row.weight * row.residual, &mut gradient);
         }
+        let data = (energy, gradient);
+        let mut model = Model { energy, data, folds, depth_squared, gradient: vec![], weights, tangents, rows };
+        self.regularize(net, &mut model);
+        model
+    }
+
+    /// Sets energy and gradient of `model`, made at `net`, from those of its data and the present stiffness.
+    fn regularize(&self, net: &[f64], model: &mut Model) {
+        let n = net.len() / 3;
+        let (mut energy, mut gradient) = model.data.clone();
         let mut product = vec![0.0; n];
         let mut scratch = vec![0.0; n];
         let mut difference = vec![0.0; n];
@@ -610,10 +626,8 @@ impl<'a> Refiner<'a> {
             energy += dot(&difference, &product);
             add(&mut gradient[c * n..(c + 1) * n], &product);
         }
-        if energy.is_nan() {
-            energy = f64::INFINITY;
-        }
-        Model { energy, folds, depth_squared, gradient, weights, tangents, rows }
+        model.energy = if energy.is_nan() { f64::INFINITY } else { energy };
+        model.gradient = gradient;
     }
 
     fn surface_or_none(&self, net: &[f64]) -> Option<NurbsSurface> {
@@ -705,7 +719,7 @@ impl<'a> Refiner<'a> {
                 add_row(&mut weights[k], slopes, k, direction, weight, across);
                 // A weak pull to the share of the stroke that the sample had at the start keeps neighbours apart.
                 let place = stroke.at(self.shares[side][i] * length);
-                let sliding = SLIDING_WEIGHT * self.stiffness * weight;
+                let sliding = SLIDING_WEIGHT * weight;
                 for c in 0..2 {
                     let residual = p[c] - place[c];
                     energy += sliding * residual * residual;
