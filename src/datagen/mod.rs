@@ -575,6 +575,49 @@ mod tests {
     }
 
     #[test]
+    fn the_border_of_the_net_is_the_one_that_inference_finds() {
+        use crate::sketch::{CANVAS_HALF_WIDTH, Layer};
+        use crate::surface::{BorderCurves, BorderLoop, LayerMap, LayerMaps};
+        const PIXELS: usize = MAP * MAP;
+        let options = Options { noise_share: 0.0, ..Options::default() };
+        for seed in 20..26 {
+            let sample = sample(seed, &options).unwrap();
+            let cotangent = 1.0 / sample.elevation_deg.to_radians().tan();
+            let map = |layer: usize| {
+                let at = |k: usize| sample.maps.valid[layer * PIXELS + k];
+                let depth = |k: usize| {
+                    let [_, y] = layers::pixel_center(MAP, k / MAP, k % MAP);
+                    f64::from(sample.maps.depth[layer * PIXELS + k]) + y * cotangent
+                };
+                let normal =
+                    |k: usize| Vector3::from_fn(|a, _| f64::from(sample.maps.normal[(layer * 3 + a) * PIXELS + k]));
+                let coverage = |side: u8| (0..PIXELS).map(|k| f64::from(at(k) == side)).collect::<Vec<_>>();
+                let (depth, normal) = ((0..PIXELS).map(depth).collect(), (0..PIXELS).map(normal).collect());
+                LayerMap::new(CANVAS_HALF_WIDTH, depth, normal, &coverage(1), &coverage(2)).unwrap()
+            };
+            let maps = LayerMaps { visible: map(0), occluded: map(1) };
+            let points = sample.patch.border.iter().map(|p| p.position).collect();
+            let occluded = sample.patch.border.iter().map(|p| p.layer == Layer::Occluded).collect();
+            let border = BorderLoop::new(points, occluded).unwrap();
+            let corners = border.choose_corners().unwrap();
+            let curves = BorderCurves::new(&border, corners, &maps, [NET, NET]).unwrap();
+            let net = sample.surface.control_points();
+            let mut errors = vec![];
+            for i in 0..NET {
+                let ends = [i * NET, (NET - 1) * NET + i, (NET - 1 - i) * NET + NET - 1, NET - 1 - i];
+                errors.extend((0..4).map(|k| (curves.sides[k][i] - net[ends[k]]).norm()));
+            }
+            errors.sort_by(f64::total_cmp);
+            assert!(errors[errors.len() / 2] < 0.12, "seed {seed}: {}", errors[errors.len() / 2]);
+            // Depth read from maps is rough where the border runs along the view, and shifts the chord lengths with it.
+            for (k, corner) in [0, (NET - 1) * NET, NET * NET - 1, NET - 1].into_iter().enumerate() {
+                let apart = (curves.sides[k][0] - net[corner]).xy().norm();
+                assert!(apart < 0.25, "seed {seed}, corner {k}: {apart}");
+            }
+        }
+    }
+
+    #[test]
     fn the_same_seed_gives_the_same_bytes() {
         let folder = tempfile::tempdir().unwrap();
         let run = |threads: usize| {
