@@ -427,6 +427,10 @@ fn feature_lines(
     lines.iter().map(|line| strokes::feature(line)).collect()
 }
 
+/// Depth of the reference in the depth samples of a sketch, canvas unit: keeps depths positive, as in the paper, on a canvas 256
+/// wide.
+pub const DEPTH_OF_REFERENCE: f64 = 512.0;
+
 /// Up to six random depth samples, canvas frame and unit.
 fn depth_samples(
     maps: &Maps,
@@ -448,8 +452,7 @@ fn depth_samples(
             DepthSample {
                 position: view.camera_to_canvas(frame.to_camera(center)),
                 layer: if slot < MAP * MAP { Layer::Visible } else { Layer::Occluded },
-                // The canvas is 256 wide: this keeps depths positive, as in the paper.
-                depth: depth / frame.scale + 512.0,
+                depth: depth / frame.scale + DEPTH_OF_REFERENCE,
             }
         })
         .collect()

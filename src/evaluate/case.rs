@@ -2,7 +2,7 @@
 
 use super::metrics::{SurfaceSamples, chamfer, depth_errors, pair_angle_deg};
 use crate::control::Control;
-use crate::datagen::{MAP, Sample};
+use crate::datagen::{DEPTH_OF_REFERENCE, MAP, Sample};
 use crate::error::Error;
 use crate::field::PolyVector;
 use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
@@ -10,7 +10,7 @@ use crate::pipeline::{
     FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
     sketch_to_surface,
 };
-use crate::sketch::{CANONICAL_PER_PX, Layer, map_position};
+use crate::sketch::{CANONICAL_PER_PX, Layer, map_position, understand};
 use crate::surface::{NurbsSurface, RefineOptions};
 use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
@@ -128,7 +128,9 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
 
 /// Errors of VD-Net, OD-Net and CDF-Net on their own maps.
 fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
-    let maps = SketchMaps::new(&truth.patch, &truth.raster);
+    // The patch of the truth was read before the depth samples were drawn.
+    let patch = understand(&truth.sketch)?.patches.swap_remove(0);
+    let maps = SketchMaps::new(&patch, &truth.raster);
     let control = Control::default();
     let depths = networks.predict_depths(&maps, &control)?;
     let pixels = MAP * MAP;
@@ -145,7 +147,11 @@ fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> R
             .collect();
         let mut guess: Vec<f64> = known.iter().map(|&k| predicted[k]).collect();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-        let shift = if case.samples == 0 { *free.get_or_insert(mean(&actual) - mean(&guess)) } else { 0.0 };
+        let shift = if case.samples == 0 {
+            *free.get_or_insert(mean(&actual) - mean(&guess))
+        } else {
+            -DEPTH_OF_REFERENCE * truth.patch.frame.scale
+        };
         guess.iter_mut().for_each(|d| *d += shift);
         if let Some(errors) = depth_errors(&positions, &guess, &actual) {
             let keys = [["d_v", "d_v_shear", "d_v_plane"], ["d_o", "d_o_shear", "d_o_plane"]][index];
@@ -187,7 +193,11 @@ fn direction_error(predicted: &DirectionPrediction, depths: &DepthPrediction, tr
 fn surface_errors(case: &mut Case, result: &SurfaceResult, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
     let view = &truth.patch.view;
     let recovered = result.patches[0].surface.mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)));
-    let shift = if case.samples == 0 { mean_z(&truth.surface) - mean_z(&recovered) } else { 0.0 };
+    let shift = if case.samples == 0 {
+        mean_z(&truth.surface) - mean_z(&recovered)
+    } else {
+        DEPTH_OF_REFERENCE * truth.patch.frame.scale
+    };
     let recovered = recovered.mapped(|p| Point3::new(p.x, p.y, p.z + shift));
     let sampled = |surface: &NurbsSurface| SurfaceSamples::new(surface, SURFACE_SIDE);
     let (distance, angle) = chamfer(&sampled(&recovered), &sampled(&truth.surface));
