@@ -1,8 +1,7 @@
-//! Every metric, defined once. Lengths are canonical units unless a doc comment says otherwise.
+//! Every metric that needs the truth, defined once; those of a mesh alone are `crate::pipeline`'s. Lengths are canonical units unless a doc comment says otherwise.
 
-use crate::mesh::PanelMesh;
 use crate::surface::NurbsSurface;
-use nalgebra::{DMatrix, DVector, Point2, Point3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector3};
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
@@ -98,46 +97,6 @@ pub fn depth_errors(positions: &[[f64; 2]], depth: &[f64], truth: &[f64]) -> Opt
     Some(DepthErrors { direct, shear: residual(true)?, plane: residual(false)? })
 }
 
-/// D_f: mean angle in degrees between feature lines and the mesh, on the viewing plane.
-///
-/// Each sample of a feature line is compared with the better aligned of the two edge directions of the face at its closest
-/// face (means of opposite edges). The paper's Eq. (15) prints a sum over samples and takes the closest edge whatever its
-/// family, which gives some 35 degrees on exact nets.
-///
-/// - `project`: vertex to the viewing plane.
-/// - `visible`: faces that the viewer sees.
-/// - `lines`: feature polylines on the viewing plane.
-/// - returns `None` without feature lines or faces.
-pub fn feature_alignment(
-    mesh: &PanelMesh,
-    project: impl Fn(&Point3<f64>) -> [f64; 2],
-    visible: impl Fn(usize) -> bool,
-    lines: &[Vec<[f64; 2]>],
-) -> Option<f64> {
-    let plane: Vec<Point2<f64>> = mesh.vertices.iter().map(|p| Point2::from(project(p))).collect();
-    let quads: Vec<usize> = (0..mesh.face_count()).filter(|&f| mesh.face(f).len() == 4 && visible(f)).collect();
-    let entries = quads.iter().map(|&f| {
-        let center: Vector2<f64> = mesh.face(f).iter().map(|&v| plane[v as usize].coords).sum::<Vector2<f64>>() / 4.0;
-        GeomWithData::new([center.x, center.y], f)
-    });
-    let tree = RTree::bulk_load(entries.collect());
-    let (mut sum, mut count) = (0.0, 0usize);
-    for line in lines {
-        for pair in line.windows(2) {
-            let (a, b) = (Point2::from(pair[0]), Point2::from(pair[1]));
-            let (tangent, middle) = (b - a, nalgebra::center(&a, &b));
-            let Some(nearest) = tree.nearest_neighbor([middle.x, middle.y]) else { continue };
-            let corners: Vec<Point2<f64>> = mesh.face(nearest.data).iter().map(|&v| plane[v as usize]).collect();
-            let edge = |i: usize| corners[(i + 1) % 4] - corners[i];
-            let angle =
-                |family: Vector2<f64>| (tangent.perp(&family).abs()).atan2(tangent.dot(&family).abs()).to_degrees();
-            sum += angle(edge(0) - edge(2)).min(angle(edge(1) - edge(3)));
-            count += 1;
-        }
-    }
-    (count > 0).then(|| sum / count as f64)
-}
-
 /// Mean angle in degrees between two pairs of lines in the plane, the better of the two assignments.
 pub fn pair_angle_deg(first: [[f64; 2]; 2], second: [[f64; 2]; 2]) -> f64 {
     let angle = |a: [f64; 2], b: [f64; 2]| {
@@ -147,40 +106,6 @@ pub fn pair_angle_deg(first: [[f64; 2]; 2], second: [[f64; 2]; 2]) -> f64 {
     let straight = angle(first[0], second[0]) + angle(first[1], second[1]);
     let crossed = angle(first[0], second[1]) + angle(first[1], second[0]);
     straight.min(crossed) / 2.0
-}
-
-/// Share of a surface's border, by length, that lies within `tolerance` of the mesh's border edges; in [0, 1].
-///
-/// - `border`: closed loop on the surface's border, dense.
-pub fn border_covered(mesh: &PanelMesh, border: &[Point3<f64>], tolerance: f64) -> f64 {
-    let mut uses = std::collections::BTreeMap::new();
-    for face in mesh.faces() {
-        for (i, &a) in face.iter().enumerate() {
-            let b = face[(i + 1) % face.len()];
-            *uses.entry((a.min(b), a.max(b))).or_insert(0usize) += 1;
-        }
-    }
-    let edges: Vec<(Point3<f64>, Point3<f64>)> = uses
-        .iter()
-        .filter(|(_, count)| **count == 1)
-        .map(|((a, b), _)| (mesh.vertices[*a as usize], mesh.vertices[*b as usize]))
-        .collect();
-    let distance = |p: &Point3<f64>| {
-        edges.iter().fold(f64::INFINITY, |best, (a, b)| {
-            let (ab, ap) = (b - a, p - a);
-            let t = (ap.dot(&ab) / ab.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-            best.min((ap - ab * t).norm())
-        })
-    };
-    let (mut covered, mut total) = (0.0, 0.0);
-    for (i, p) in border.iter().enumerate() {
-        let length = (border[(i + 1) % border.len()] - p).norm();
-        total += length;
-        if distance(p) <= tolerance {
-            covered += length;
-        }
-    }
-    if total > 0.0 { covered / total } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -213,29 +138,6 @@ mod tests {
             positions.iter().zip(&truth).map(|([x, y], d)| 0.7 * d - 0.3 * x + 0.2 * y + 5.0).collect();
         let errors = depth_errors(&positions, &depth, &truth).unwrap();
         assert!(errors.shear < 1e-16 && errors.direct > 1.0 && errors.plane > 1e-3);
-    }
-
-    #[test]
-    fn features_along_either_family_score_zero() {
-        let mut vertices = vec![];
-        let mut faces = vec![];
-        for i in 0..5u32 {
-            for j in 0..5u32 {
-                vertices.push(Point3::new(i as f64, j as f64, 0.0));
-                if i < 4 && j < 4 {
-                    faces.push([i * 5 + j, (i + 1) * 5 + j, (i + 1) * 5 + j + 1, i * 5 + j + 1]);
-                }
-            }
-        }
-        let mesh = PanelMesh::new(vertices, &faces).unwrap();
-        let along = |angle: f64| -> Vec<[f64; 2]> {
-            (0..10).map(|k| [0.5 + 0.3 * k as f64 * angle.cos(), 0.6 + 0.3 * k as f64 * angle.sin()]).collect()
-        };
-        let score = |angle: f64| feature_alignment(&mesh, |p| [p.x, p.y], |_| true, &[along(angle)]).unwrap();
-        assert!(score(0.0) < 1e-9 && score(std::f64::consts::FRAC_PI_2) < 1e-9);
-        assert!((score(0.3) - 0.3f64.to_degrees()).abs() < 1e-9);
-        let border = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]].map(|[x, y]| Point3::new(x, y, 0.0));
-        assert_eq!(border_covered(&mesh, &border, 1e-9), 1.0);
     }
 
     #[test]
