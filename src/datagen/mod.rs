@@ -161,6 +161,8 @@ pub struct Sample {
     pub scale: f64,
     /// How often each reason refused a try before, in the order of [`Reason::ALL`].
     pub rejected: [u32; Reason::ALL.len()],
+    /// Which of the surfaces that `surface_id` may stand for this is.
+    pub candidate: u32,
 }
 
 /// A generator for one purpose: distinct for each seed, purpose and try.
@@ -201,14 +203,35 @@ pub fn sample(seed: u64, options: &Options) -> Result<Sample, Rejection> {
         for _ in 0..views {
             let wish = (attempt < INSISTING_ATTEMPTS).then_some(wants_occlusion);
             let identity = Identity { seed, surface_id, family };
-            match view_sample(&world, identity, &mut dice(seed, 4, attempt), wish, options) {
-                Ok(sample) => return Ok(Sample { rejected, ..sample }),
+            match view_sample(&world, identity, attempt, wish, options) {
+                Ok(sample) => return Ok(Sample { rejected, candidate, ..sample }),
                 Err(rejection) => refuse(rejection),
             }
             attempt += 1;
         }
         if attempt >= MAX_ATTEMPTS {
             break;
+        }
+    }
+    Err(last)
+}
+
+/// The surface of a sample from another direction, with the dice of `seed` for the view and all that follows.
+///
+/// # Errors
+/// The [`Rejection`] of the last try.
+pub fn sample_again(shown: &Sample, seed: u64, options: &Options) -> Result<Sample, Rejection> {
+    let &Sample { surface_id, family, candidate, .. } = shown;
+    let refused = Rejection(Reason::Surface);
+    let world = surfaces::random_surface(family, &mut dice(surface_id, 3, candidate)).ok_or(refused)?;
+    let wants_occlusion = dice(seed, 1, 0).random_bool(options.occluded_share.clamp(0.0, 1.0));
+    let mut last = refused;
+    for attempt in 0..MAX_ATTEMPTS {
+        let wish = (attempt < INSISTING_ATTEMPTS).then_some(wants_occlusion);
+        let identity = Identity { seed, surface_id, family };
+        match view_sample(&world, identity, attempt, wish, options) {
+            Ok(sample) => return Ok(Sample { candidate, ..sample }),
+            Err(rejection) => last = rejection,
         }
     }
     Err(last)
@@ -277,11 +300,12 @@ fn relabel(mut net: Vec<Point3<f64>>) -> Vec<Point3<f64>> {
 fn view_sample(
     world: &NurbsSurface,
     Identity { seed, surface_id, family }: Identity,
-    rng: &mut ChaCha8Rng,
+    attempt: u32,
     wants_occlusion: Option<bool>,
     options: &Options,
 ) -> Result<Sample, Rejection> {
     let refuse = |reason: Reason| Err(Rejection(reason));
+    let rng = &mut dice(seed, 4, attempt);
     let azimuth = rng.random_range(0.0..std::f64::consts::TAU);
     let [low, high] = options.elevation_deg;
     let elevation_deg = if high > low { rng.random_range(low..high) } else { low };
@@ -341,10 +365,13 @@ fn view_sample(
     let by_parameters = family.has_conjugate_parameters() && rng.random_bool(0.6);
     let directions = Directions::random(&surface, by_parameters, rng)?;
     lines.extend(feature_lines(&surface, &directions, &layers, rng));
-    let noisy = rng.random_bool(options.noise_share.clamp(0.0, 1.0));
+    // The hand has its own dice, and noise takes one throw whatever its share: with and without it, a seed differs in the
+    // strokes alone.
+    let noisy = rng.random_range(0.0..1.0) < options.noise_share;
     if noisy {
-        let size = rng.random_range(0.4..1.2);
-        strokes::draw_by_hand(&mut lines, size, rng);
+        let hand = &mut dice(seed, 5, attempt);
+        let size = hand.random_range(0.4..1.2);
+        strokes::draw_by_hand(&mut lines, size, hand);
     }
     let mut sketch =
         Sketch { name: format!("seed_{seed}"), canvas_size: [256.0; 2], view, strokes: lines, depth_samples: vec![] };
@@ -382,6 +409,7 @@ fn view_sample(
         noisy,
         scale,
         rejected: [0; Reason::ALL.len()],
+        candidate: 0,
     })
 }
 
@@ -618,6 +646,32 @@ mod tests {
                 assert!(apart < 0.25, "seed {seed}, corner {k}: {apart}");
             }
         }
+    }
+
+    #[test]
+    fn another_view_shows_the_same_surface() {
+        let options = Options::default();
+        let first = sample(40, &options).unwrap();
+        let again = sample_again(&first, 5_000, &options).unwrap();
+        assert_eq!((first.surface_id, first.candidate), (again.surface_id, again.candidate));
+        assert_ne!(first.azimuth_deg, again.azimuth_deg);
+        // A rotation keeps the area; both nets are fitted anew, each with corners of its own.
+        let area = |s: &Sample| {
+            let mesh = crate::surface::SurfaceMesh::new(&s.surface, [60; 2]).unwrap();
+            let area: f64 = (0..mesh.triangles.len()).map(|t| mesh.triangle_normal_area(t).1).sum();
+            area / (s.scale * strokes::PIXELS_PER_UNIT * s.patch.frame.scale).powi(2)
+        };
+        assert!((area(&first) / area(&again) - 1.0).abs() < 0.02, "{} {}", area(&first), area(&again));
+    }
+
+    #[test]
+    fn noise_changes_the_strokes_alone() {
+        let with = |noise_share: f64| sample(61, &Options { noise_share, ..Options::default() }).unwrap();
+        let (clean, noisy) = (with(0.0), with(1.0));
+        assert!(!clean.noisy && noisy.noisy);
+        assert_eq!((clean.azimuth_deg, clean.candidate), (noisy.azimuth_deg, noisy.candidate));
+        assert_ne!(clean.sketch.strokes, noisy.sketch.strokes);
+        assert_eq!(clean.sketch.depth_samples.len(), noisy.sketch.depth_samples.len());
     }
 
     #[test]

@@ -45,8 +45,10 @@ pub const KEYS: [&str; 25] = [
 ];
 
 /// The measures of one sketch.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Case {
+    /// Number within the split.
+    pub index: u64,
     /// Seed of the sketch.
     pub seed: u64,
     /// Kind of surface.
@@ -79,8 +81,7 @@ pub fn measure(session: &mut Session, networks: &mut Networks, truth: &Sample) -
         occluded: truth.occluded,
         noisy: truth.noisy,
         samples: truth.sketch.depth_samples.len(),
-        values: BTreeMap::new(),
-        failed: None,
+        ..Case::default()
     };
     match fill(&mut case, session, networks, truth) {
         Err(Error::Cancelled) => Err(Error::Cancelled),

@@ -61,10 +61,15 @@ pub fn scores_json(cases: &[Case]) -> Value {
     Value::Object(groups(cases).into_iter().map(|(name, group)| (name, Value::Object(scores(&group)))).collect())
 }
 
-/// The same as a Markdown table, measures down, groups across, the paper's numbers beside.
+/// The same as two Markdown tables, measures down, groups across, the paper's numbers beside: all cases by occlusion, noise and
+/// depth samples; then by family.
 pub fn markdown(cases: &[Case]) -> String {
     let groups = groups(cases);
-    let shown: Vec<&String> = groups.keys().filter(|name| !name.starts_with("family_")).collect();
+    let (families, others): (Vec<&String>, Vec<&String>) = groups.keys().partition(|name| name.starts_with("family_"));
+    format!("{}\n{}", table(&groups, &others), table(&groups, &families))
+}
+
+fn table(groups: &BTreeMap<String, Vec<&Case>>, shown: &[&String]) -> String {
     let mut text = String::from("| measure | the paper |");
     shown.iter().for_each(|name| write!(text, " {name} |").expect("writing to a string"));
     text.push_str("\n| --- | --- |");
@@ -100,13 +105,11 @@ mod tests {
     #[test]
     fn groups_average_what_applies() {
         let case = |d_v: f64, occluded: bool| Case {
-            seed: 0,
             family: "vault",
             occluded,
-            noisy: false,
             samples: 3,
             values: BTreeMap::from([("d_v", d_v)]),
-            failed: None,
+            ..Case::default()
         };
         let scores = scores_json(&[case(1.0, false), case(3.0, true)]);
         assert_eq!(scores["all"]["d_v"], json!(2.0));

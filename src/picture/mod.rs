@@ -1,6 +1,7 @@
 //! Pictures of sketches, surfaces and panel meshes, drawn in software.
 
 mod canvas;
+mod cases;
 mod lettering;
 mod mesh;
 #[cfg(test)]
@@ -11,6 +12,7 @@ mod surface;
 mod svg;
 
 pub use canvas::{Frame, Picture, compose};
+pub use cases::{CaseRow, case_sheet};
 pub use mesh::{MeshPart, mesh_picture, planarity_color};
 pub use scene::{Scene, ScenePatch, other_view, scene_picture};
 pub use sketch::sketch_picture;

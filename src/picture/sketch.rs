@@ -35,11 +35,17 @@ pub(crate) fn stroke_color(kind: StrokeKind) -> [u8; 3] {
 }
 
 pub(crate) fn draw_sketch(sketch: &Sketch, frame: &Frame) -> Picture {
+    let mut picture = Picture::new(frame.size[0], frame.size[1]);
+    overlay_sketch(&mut picture, sketch, frame);
+    picture
+}
+
+/// Draws the sketch over what the picture shows.
+pub(crate) fn overlay_sketch(picture: &mut Picture, sketch: &Sketch, frame: &Frame) {
     let place = |p: [f64; 2]| {
         let [x, y] = sketch.view.canvas_to_camera(p);
         frame.place(x, y)
     };
-    let mut picture = Picture::new(frame.size[0], frame.size[1]);
     picture.draw(|brush| {
         // Hidden lines below, features on top.
         for kind in
@@ -60,5 +66,4 @@ pub(crate) fn draw_sketch(sketch: &Sketch, frame: &Frame) -> Picture {
             }
         }
     });
-    picture
 }

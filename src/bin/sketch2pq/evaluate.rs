@@ -1,31 +1,49 @@
 //! `sketch2pq evaluate`: the metrics on held-out sketches.
 
 use crate::{Runtime, print};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use sketch2pq::Error;
 use sketch2pq::control::Control;
 use sketch2pq::datagen::Options;
-use sketch2pq::evaluate::{evaluate, markdown, scores_json};
-use sketch2pq::infer::{BackendOptions, Models};
+use sketch2pq::evaluate::{Rank, Split, evaluate, markdown, scores_json, sheet};
+use sketch2pq::infer::{BackendOptions, Models, Networks};
 use sketch2pq::pipeline::Session;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Measures the whole pipeline on held-out sketches whose truth is known: scores.json, scores.md, cases.json.
+/// Measures the whole pipeline on held-out sketches whose truth is known: scores.json, scores.md, cases.json, and pictures of the ten
+/// best, median and worst cases.
 #[derive(Args)]
 pub struct Evaluate {
-    /// The held-out set: surfaces that training never saw.
-    #[arg(long, default_value = "surfaces", value_parser = ["surfaces"])]
-    split: String,
+    /// What was kept from training.
+    #[arg(long, value_enum, default_value_t = Which::Surfaces)]
+    split: Which,
     /// Folder for the scores; made if missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Number of sketches.
-    #[arg(long, default_value_t = 500, value_name = "N")]
+    #[arg(long, default_value_t = 1000, value_name = "N")]
     count: u64,
+    /// Share of sketches drawn as by hand; with 0 and 1 the same sketches clean and noisy.
+    #[arg(long, default_value_t = Options::default().noise_share, value_name = "SHARE")]
+    noise: f64,
+    /// Lowest and highest elevation of the view, degrees.
+    #[arg(long, num_args = 2, default_values_t = Options::default().elevation_deg, value_names = ["LOW", "HIGH"])]
+    elevation: Vec<f64>,
+    /// No pictures.
+    #[arg(long)]
+    no_pictures: bool,
     #[command(flatten)]
     runtime: Runtime,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Which {
+    /// Surfaces that training never saw, four sketches of each.
+    Surfaces,
+    /// New views of surfaces that training saw in four others.
+    Rotations,
 }
 
 impl Evaluate {
@@ -58,8 +76,18 @@ impl Evaluate {
             shown.set_message(stage.to_owned());
             shown.set_position((fraction * count).round() as u64);
         }));
-        let cases = evaluate(&mut session, &models, &backend, self.count, &Options::default(), &control)?;
-        bar.finish_and_clear();
+        let mut networks = Networks::load(&models, &backend)?;
+        let split = match self.split {
+            Which::Surfaces => Split::Surfaces,
+            Which::Rotations => Split::Rotations,
+        };
+        let options = Options {
+            noise_share: self.noise,
+            elevation_deg: [self.elevation[0], self.elevation[1]],
+            ..Options::default()
+        };
+        std::fs::create_dir_all(&self.out).map_err(|error| file_error(&self.out, &error))?;
+        let cases = evaluate(&mut session, &mut networks, split, self.count, &options, &control)?;
         let detail: Vec<serde_json::Value> = cases
             .iter()
             .map(|case| {
@@ -75,17 +103,22 @@ impl Evaluate {
             .collect();
         let table = markdown(&cases);
         let text = |value: &serde_json::Value| format!("{value:#}\n");
-        std::fs::create_dir_all(&self.out).map_err(|error| file_error(&self.out, &error))?;
-        self.write("scores.json", &text(&scores_json(&cases)))?;
-        self.write("cases.json", &text(&serde_json::Value::Array(detail)))?;
+        self.write("scores.json", text(&scores_json(&cases)))?;
+        self.write("cases.json", text(&serde_json::Value::Array(detail)))?;
         self.write("scores.md", &table)?;
+        if !self.no_pictures {
+            for (name, rank) in [("best.png", Rank::Best), ("median.png", Rank::Median), ("worst.png", Rank::Worst)] {
+                self.write(name, sheet(&mut session, split, &cases, rank, &options, &control)?.to_png()?)?;
+            }
+        }
+        bar.finish_and_clear();
         print(&table);
         Ok(())
     }
 
-    fn write(&self, name: &str, text: &str) -> Result<(), Error> {
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<(), Error> {
         let path = self.out.join(name);
-        std::fs::write(&path, text).map_err(|error| file_error(&path, &error))
+        std::fs::write(&path, content).map_err(|error| file_error(&path, &error))
     }
 }
 
