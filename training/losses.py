@@ -6,7 +6,7 @@ viewer, so that a tangent is (1, 0, dz/dx) with z = -depth, and "up" is row - 1.
 
 import torch
 
-from geometry import PIXEL
+from geometry import PIXEL, POSITIONS
 
 
 def mean(values, mask):
@@ -40,6 +40,7 @@ def layer_terms(h, normal, true_h, true_normal, side, weights, cot_elevation):
     right, up = neighbours(side)
     data = mean((h - true_h).square(), valid) * weights["sigma_d"]
     data = data + mean((normal - true_normal).square().sum(1), valid) * weights["sigma_n"]
+    data = data + shape(h, true_h, valid) * weights["sigma_s"]
     smooth = 0.0
     compatible = 0.0
     for mask, shift, axis in ((right, to_right, 0), (up, to_up, 1)):
@@ -51,6 +52,26 @@ def layer_terms(h, normal, true_h, true_normal, side, weights, cot_elevation):
         slope = -(step / PIXEL + (cot_elevation if axis == 1 else 0.0))
         compatible = compatible + mean((normal[:, axis] + slope * normal[:, 2]).square(), mask)
     return data, smooth, compatible
+
+
+def shape(h, true_h, valid):
+    """E_shape, ours: the part of h - true h that no change of the four free parameters of depth explains, squared.
+
+    A sketch leaves depth' = s depth + a x + b y + t open, and most of E_dat is that freedom; this term keeps its gradient
+    on what the strokes decide. The best s, a, b, t of every sample are taken as constants.
+    """
+    mask = valid.flatten(1).float()
+    count = mask.sum(1).clamp_min(1)
+    ones = torch.ones_like(POSITIONS[:, :1])
+    plane = torch.cat([POSITIONS, ones], 1).expand(len(h), -1, -1)
+    truth = true_h.flatten(1)
+    guess = h.flatten(1)
+    basis = torch.cat([plane, guess.detach()[..., None]], 2) * mask[..., None]
+    normal = basis.transpose(1, 2) @ basis + 1e-3 * count[:, None, None] * torch.eye(4)
+    # Relative to s = 1, so that the small weight of the diagonal draws towards the guess itself.
+    change = torch.linalg.solve(normal, basis.transpose(1, 2) @ ((truth - guess.detach()) * mask)[..., None])
+    corrected = guess * (1 + change[:, 3]) + (plane @ change[:, :3])[..., 0]
+    return ((corrected - truth).square() * mask).sum() / mask.sum().clamp_min(1)
 
 
 def contour_pairs(contour_proximity, visible, occluded):

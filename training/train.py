@@ -16,6 +16,7 @@ import numpy
 import torch
 
 import data
+import muon
 import nets
 import tasks
 
@@ -52,14 +53,13 @@ class Run:
         self.settings = settings
         self.decay = ema
         self.model = nets.make(name).to(memory_format=torch.channels_last)
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), settings["rate"], weight_decay=settings["weight_decay"], fused=True
-        )
+        self.optimizers = muon.optimizers(self.model, settings["rate"], settings["weight_decay"])
         self.samples, self.seconds, self.log = 0, 0.0, []
         if (self.out / "checkpoint.pt").exists():
             stored = torch.load(self.out / "checkpoint.pt", weights_only=False)
             self.model.load_state_dict(stored["model"])
-            self.optimizer.load_state_dict(stored["optimizer"])
+            for optimizer, state in zip(self.optimizers, stored["optimizers"]):
+                optimizer.load_state_dict(state)
             self.samples, self.seconds, self.log = stored["samples"], stored["seconds"], stored["log"]
             self.average = copy.deepcopy(self.model)
             self.average.load_state_dict(stored["average"])
@@ -71,7 +71,7 @@ class Run:
     def save(self):
         state = {
             "model": self.model.state_dict(), "average": self.average.state_dict(),
-            "optimizer": self.optimizer.state_dict(), "samples": self.samples, "seconds": self.seconds, "log": self.log,
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers], "samples": self.samples, "seconds": self.seconds, "log": self.log,
         }
         torch.save(state, self.out / "checkpoint.tmp")
         (self.out / "checkpoint.tmp").replace(self.out / "checkpoint.pt")
@@ -83,10 +83,11 @@ class Run:
         loss, terms = self.task.loss(output.float(), prepared, self.settings["loss"])
         if not torch.isfinite(loss):
             raise RuntimeError(f"the loss is {loss.item()} after {self.samples} samples")
-        self.optimizer.zero_grad()
+        self.model.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         self.samples += len(output)
         # The average forgets the start quickly.
         decay = min(self.decay, (1 + self.samples / len(output)) / (10 + self.samples / len(output)))
@@ -200,8 +201,9 @@ def main():
         order = order[batch_size:]
         if torch.rand(1, generator=generator) < 0.5 and not arguments.overfit:
             batch = tasks.geometry.mirror(batch)
-        for group in run.optimizer.param_groups:
-            group["lr"] = run.settings["rate"] * rate_factor(run.seconds / budget)
+        for optimizer in run.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = run.settings["rate"] * rate_factor(run.seconds / budget)
         prepared = run.task.prepare(batch, generator, helpers)
         recent.append(run.step(prepared))
         run.seconds += time.monotonic() - start
