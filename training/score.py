@@ -55,12 +55,11 @@ def main():
         networks[name].load_state_dict(torch.load(weights, weights_only=True))
         chosen = (held_out.occluded if task.occluded_only else list(range(len(held_out))))[: arguments.count]
         generator = torch.Generator().manual_seed(7)
-        prepared = [task.prepare(held_out.batch(chosen[i : i + 50]), generator, networks) for i in range(0, len(chosen), 50)]
+        prepared = [task.prepare(held_out.batch(chosen[i : i + 50]), generator, networks, training=False) for i in range(0, len(chosen), 50)]
         merged = {}
-        with torch.no_grad():
-            for batch in prepared:
-                for key, values in task.scores(networks[name](batch["input"]).float(), batch).items():
-                    merged.setdefault(key, []).extend(values)
+        for batch in prepared:
+            for key, values in task.scores(tasks.predict(networks[name], batch["input"]), batch).items():
+                merged.setdefault(key, []).extend(values)
         scores = {key: train.average(values) for key, values in merged.items()}
         if "samples" in merged:
             many = [i for i, n in enumerate(merged["samples"]) if n >= 3]

@@ -49,12 +49,19 @@ def split_sides(output, side):
     return g, F.normalize(normal, dim=1, eps=1e-3)
 
 
+def predict(network, inputs, fast=False):
+    """What a network answers, without gradients, on the CPU; `fast` computes in bf16."""
+    device = next(network.parameters()).device
+    with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=fast):
+        return network(inputs.to(device, memory_format=torch.channels_last)).float().cpu()
+
+
 class VdNet:
     name = "vd_net"
     needs = ()
     occluded_only = False
 
-    def prepare(self, batch, generator, helpers):
+    def prepare(self, batch, generator, helpers, training=True):
         batch, samples = with_reference(batch, generator)
         points, values, on_visible, _ = samples
         base, std = geometry.sample_base(points, values, on_visible)
@@ -91,10 +98,9 @@ class OdNet:
     needs = ("vd_net",)
     occluded_only = True
 
-    def prepare(self, batch, generator, helpers):
-        vd = VdNet().prepare(batch, generator, helpers)
-        with torch.no_grad():
-            h, normal = VdNet().decode(helpers["vd_net"](vd["input"]).float(), vd)
+    def prepare(self, batch, generator, helpers, training=True):
+        vd = VdNet().prepare(batch, generator, helpers, training)
+        h, normal = VdNet().decode(predict(helpers["vd_net"], vd["input"], fast=training), vd)
         points, values, _, on_occluded = vd["samples"]
         difference = values - geometry.lookup(h[:, None], points)[:, 0]
         base, std = geometry.sample_base(points, difference, on_occluded)
@@ -156,7 +162,7 @@ class BsrNet:
     occluded_only = False
     basis = geometry.basis_matrix(100)
 
-    def prepare(self, batch, generator, helpers):
+    def prepare(self, batch, generator, helpers, training=True):
         batch = geometry.shear(batch, generator, COT_ELEVATION)
         batch, samples = with_reference(batch, generator)
         control = dihedral(batch["control"], int(torch.randint(0, 4, (1,), generator=generator)))
@@ -229,15 +235,23 @@ def dihedral(control, turns):
 
 class CdfNet:
     name = "cdf_net"
-    needs = ()
+    needs = ("vd_net", "od_net")
     occluded_only = False
 
-    def prepare(self, batch, generator, helpers):
-        batch = geometry.shear(batch, generator, COT_ELEVATION)
+    def prepare(self, batch, generator, helpers, training=True):
+        batch = geometry.shear(batch, generator, COT_ELEVATION) if training else batch
         seen = (batch["valid"] > 0).float()
-        coarse = torch.randn(len(seen), 6, 7, 7, generator=generator)
-        noise = F.interpolate(coarse, size=(MAP, MAP), mode="bilinear", align_corners=True) * 0.08
-        normal = F.normalize(batch["normal"] + noise.unflatten(1, (2, 3)), dim=2) * seen[:, :, None]
+        # It will see the normals that the depth networks predict. A quarter of the samples have true ones with smooth noise
+        # instead, so that it stays right when those networks get better.
+        od = OdNet().prepare(batch, generator, helpers, training)
+        _, hidden = OdNet().decode(predict(helpers["od_net"], od["input"], fast=training), od)
+        normal = torch.stack([od["visible_normal"], hidden], 1)
+        if training:
+            coarse = torch.randn(len(seen), 6, 7, 7, generator=generator)
+            noise = F.interpolate(coarse, size=(MAP, MAP), mode="bilinear", align_corners=True) * 0.08
+            exact = F.normalize(batch["normal"] + noise.unflatten(1, (2, 3)), dim=2) * seen[:, :, None]
+            chosen = torch.rand(len(seen), generator=generator) < 0.25
+            normal = torch.where(chosen[:, None, None, None, None], exact, normal)
         known = batch["cdf"].abs().sum(2) > 0.5
         truth = losses.polyvector(batch["cdf"].permute(0, 2, 1, 3, 4)).permute(0, 2, 1, 3, 4)
         inputs = torch.cat([batch["strokes"], normal[:, 0], normal[:, 1]], 1)

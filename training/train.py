@@ -1,19 +1,25 @@
 """Trains one network: `python training/train.py vd_net --data work/train --validation work/validation --minutes 60`.
 
 Everything lands in `--out` (default work/runs/NAME): `checkpoint.pt` (resumes by itself), `log.jsonl`, `curves.png`, `run.json`.
-The learning rate follows elapsed training time (warm-up, then cosine to zero at `--minutes`), so that a slow machine
-still finishes its schedule.
+The learning rate (warm-up, then cosine to zero) follows the time spent, so that a slow machine still finishes its schedule,
+or with `--samples` the samples seen; then a run that was stopped and resumed gives the same weights as one that was not.
+
+On several machines or GPUs: `torchrun --nproc-per-node 2 training/train.py ...`. The batch of the configuration is that of all
+processes together; each draws its part of it.
 """
 
 import argparse
 import copy
 import json
+import os
 import pathlib
 import subprocess
 import time
 
 import numpy
 import torch
+from torch import distributed
+from torch.nn.parallel import DistributedDataParallel
 
 import data
 import muon
@@ -43,44 +49,94 @@ def initial_weights(path):
     return {name: torch.from_numpy(tensors[name].astype("float32")) if name in tensors else value for name, value in wanted.items()}
 
 
-class Run:
-    """A network, its moving average, the optimizer, and where they are stored."""
+class Processes:
+    """This process among those of `torchrun`; alone without it."""
 
-    def __init__(self, name, out, settings, initial, ema):
+    def __init__(self):
+        self.rank, self.count = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
+        if self.count > 1:
+            distributed.init_process_group("nccl" if self.device.type == "cuda" else "gloo")
+
+    def wrapped(self, model):
+        return DistributedDataParallel(model) if self.count > 1 else model
+
+    def agreed(self, value):
+        """The value of the first process."""
+        if self.count == 1:
+            return value
+        shared = torch.tensor([value], dtype=torch.float64, device=self.device)
+        distributed.broadcast(shared, 0)
+        return shared.item()
+
+
+class Order:
+    """Which samples come next: each epoch once all of the pool, shuffled by its number alone."""
+
+    def __init__(self, epoch=0, position=0, size=0):
+        self.epoch, self.position, self.size = epoch, position, size
+        self.shuffled = self.shuffle()
+
+    def shuffle(self):
+        return numpy.random.default_rng([13, self.epoch]).permutation(self.size)
+
+    def take(self, pool, count):
+        """The next `count` of the pool; samples that joined the pool since take part from the next epoch on."""
+        if self.position + count > self.size:
+            self.epoch, self.position, self.size = self.epoch + 1, 0, len(pool)
+            self.shuffled = self.shuffle()
+        chosen = self.shuffled[self.position : self.position + count]
+        self.position += count
+        return [pool[i] for i in chosen]
+
+    def state(self):
+        return [self.epoch, self.position, self.size]
+
+
+class Run:
+    """A network, its moving average, the optimizers, and where they are stored."""
+
+    def __init__(self, name, out, settings, initial, ema, processes):
         self.task = tasks.TASKS[name]
         self.out = pathlib.Path(out)
         self.out.mkdir(parents=True, exist_ok=True)
         self.settings = settings
         self.decay = ema
-        self.model = nets.make(name).to(memory_format=torch.channels_last)
+        self.processes = processes
+        self.device = processes.device
+        self.model = nets.make(name).to(self.device, memory_format=torch.channels_last)
         self.optimizers = muon.optimizers(self.model, settings["rate"], settings["weight_decay"])
-        self.samples, self.seconds, self.log = 0, 0.0, []
+        self.steps, self.samples, self.seconds, self.log, self.order = 0, 0, 0.0, [], Order()
         if (self.out / "checkpoint.pt").exists():
-            stored = torch.load(self.out / "checkpoint.pt", weights_only=False)
+            stored = torch.load(self.out / "checkpoint.pt", weights_only=False, map_location=self.device)
             self.model.load_state_dict(stored["model"])
             for optimizer, state in zip(self.optimizers, stored["optimizers"]):
                 optimizer.load_state_dict(state)
-            self.samples, self.seconds, self.log = stored["samples"], stored["seconds"], stored["log"]
+            self.steps, self.samples, self.seconds, self.log = (stored[key] for key in ("steps", "samples", "seconds", "log"))
+            self.order = Order(*stored["order"])
             self.average = copy.deepcopy(self.model)
             self.average.load_state_dict(stored["average"])
         else:
             if initial:
                 self.model.load_state_dict(initial_weights(initial))
             self.average = copy.deepcopy(self.model)
+        self.parallel = processes.wrapped(self.model)
 
     def save(self):
         state = {
             "model": self.model.state_dict(), "average": self.average.state_dict(),
-            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers], "samples": self.samples, "seconds": self.seconds, "log": self.log,
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
+            "steps": self.steps, "samples": self.samples, "seconds": self.seconds, "log": self.log, "order": self.order.state(),
         }
         torch.save(state, self.out / "checkpoint.tmp")
         (self.out / "checkpoint.tmp").replace(self.out / "checkpoint.pt")
         torch.save(self.average.state_dict(), self.out / "weights.pt")
 
     def step(self, prepared):
-        with torch.autocast("cpu", torch.bfloat16):
-            output = self.model(prepared["input"].contiguous(memory_format=torch.channels_last))
-        loss, terms = self.task.loss(output.float(), prepared, self.settings["loss"])
+        with torch.autocast(self.device.type, torch.bfloat16):
+            output = self.parallel(prepared["input"].to(self.device, memory_format=torch.channels_last))
+        # Losses are cheap beside the networks and stay on the CPU, where the data are.
+        loss, terms = self.task.loss(output.float().cpu(), prepared, self.settings["loss"])
         if not torch.isfinite(loss):
             raise RuntimeError(f"the loss is {loss.item()} after {self.samples} samples")
         self.model.zero_grad()
@@ -88,9 +144,10 @@ class Run:
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         for optimizer in self.optimizers:
             optimizer.step()
-        self.samples += len(output)
+        self.steps += 1
+        self.samples += len(output) * self.processes.count
         # The average forgets the start quickly.
-        decay = min(self.decay, (1 + self.samples / len(output)) / (10 + self.samples / len(output)))
+        decay = min(self.decay, (1 + self.steps) / (10 + self.steps))
         with torch.no_grad():
             for kept, fresh in zip(self.average.parameters(), self.model.parameters()):
                 kept.lerp_(fresh, 1 - decay)
@@ -99,10 +156,9 @@ class Run:
     def validate(self, batches):
         """Scores of the moving average over prepared batches."""
         merged = {}
-        with torch.no_grad():
-            for prepared in batches:
-                for name, values in self.task.scores(self.average(prepared["input"]).float(), prepared).items():
-                    merged.setdefault(name, []).extend(values)
+        for prepared in batches:
+            for name, values in self.task.scores(tasks.predict(self.average, prepared["input"]), prepared).items():
+                merged.setdefault(name, []).extend(values)
         result = {name: average(values) for name, values in merged.items()}
         result["ratio"] = self.task.headline(result)
         if "samples" in merged:
@@ -140,7 +196,10 @@ def main():
     parser.add_argument("name", choices=sorted(tasks.TASKS))
     parser.add_argument("--data", required=True, help="folder of shards")
     parser.add_argument("--validation", required=True, help="folder of shards with held-out surfaces")
-    parser.add_argument("--minutes", type=float, required=True, help="length of the whole schedule")
+    length = parser.add_mutually_exclusive_group(required=True)
+    length.add_argument("--minutes", type=float, help="length of the whole schedule as time")
+    length.add_argument("--samples", type=int, help="length of the whole schedule as samples seen")
+    parser.add_argument("--stop-at", type=int, help="stop there, in samples seen; the same command without it goes on")
     parser.add_argument("--out", help="working folder, default work/runs/NAME")
     parser.add_argument("--initial", help="weights to start from when there is no checkpoint")
     parser.add_argument("--helper", action="append", default=[], help="NAME=weights.pt of a network this one builds on")
@@ -150,14 +209,18 @@ def main():
 
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(1)
+    processes = Processes()
     config = json.loads((HERE / "config.json").read_text())
+    settings = config[arguments.name]
+    if settings["batch"] % processes.count:
+        parser.error(f"the batch of {settings['batch']} cannot be shared by {processes.count} processes")
     out = arguments.out or f"work/runs/{arguments.name}"
-    run = Run(arguments.name, out, config[arguments.name], arguments.initial, config["ema"])
+    run = Run(arguments.name, out, settings, arguments.initial, config["ema"], processes)
     helpers = {}
     for entry in arguments.helper:
         name, path = entry.split("=", 1)
-        helpers[name] = nets.make(name).to(memory_format=torch.channels_last).eval()
-        helpers[name].load_state_dict(torch.load(path, weights_only=True))
+        helpers[name] = nets.make(name).to(processes.device, memory_format=torch.channels_last).eval()
+        helpers[name].load_state_dict(initial_weights(path))
     missing = [name for name in run.task.needs if name not in helpers]
     if missing:
         parser.error(f"{arguments.name} needs --helper {missing[0]}=weights.pt")
@@ -165,13 +228,7 @@ def main():
     train, held_out = data.Shards(arguments.data), data.Shards(arguments.validation)
     fixed = torch.Generator().manual_seed(7)
     chosen = (held_out.occluded if run.task.occluded_only else list(range(len(held_out))))[: config["validation_samples"]]
-    validation = [
-        run.task.prepare(held_out.batch(chosen[i : i + 50]), fixed, helpers) for i in range(0, len(chosen), 50)
-    ]
-    generator = torch.Generator().manual_seed(run.samples + 11)
-    shuffle = numpy.random.default_rng(run.samples + 13)
-    batch_size = run.settings["batch"]
-    budget = arguments.minutes * 60
+    validation = [run.task.prepare(held_out.batch(chosen[i : i + 50]), fixed, helpers, training=False) for i in range(0, len(chosen), 50)]
     last_validation, recent = time.monotonic(), []
 
     def report():
@@ -187,36 +244,37 @@ def main():
         run.save()
         curves(run)
 
-    order = []
-    while run.seconds < budget:
+    while True:
         start = time.monotonic()
-        if len(order) < batch_size:
-            train.refresh()
-            pool = train.occluded if run.task.occluded_only else range(len(train))
-            pool = list(pool)[: arguments.overfit] if arguments.overfit else pool
-            order = shuffle.permutation(numpy.asarray(pool)).tolist()
-            while len(order) < batch_size:
-                order = order + order
-        batch = train.batch(order[:batch_size])
-        order = order[batch_size:]
+        progress = processes.agreed(run.samples / arguments.samples if arguments.samples else run.seconds / (60 * arguments.minutes))
+        if progress >= 1 or (arguments.stop_at and run.samples >= arguments.stop_at):
+            break
+        train.refresh()
+        pool = train.occluded if run.task.occluded_only else range(len(train))
+        pool = pool[: arguments.overfit] if arguments.overfit else pool
+        batch = train.batch(run.order.take(pool, settings["batch"])[processes.rank :: processes.count])
+        # All dice of a step come from its number, so that a resumed run throws the same.
+        generator = torch.Generator().manual_seed(run.steps * processes.count + processes.rank + 11)
         if torch.rand(1, generator=generator) < 0.5 and not arguments.overfit:
             batch = tasks.geometry.mirror(batch)
         for optimizer in run.optimizers:
             for group in optimizer.param_groups:
-                group["lr"] = run.settings["rate"] * rate_factor(run.seconds / budget)
-        prepared = run.task.prepare(batch, generator, helpers)
-        recent.append(run.step(prepared))
+                group["lr"] = settings["rate"] * rate_factor(progress)
+        recent.append(run.step(run.task.prepare(batch, generator, helpers)))
         run.seconds += time.monotonic() - start
-        if time.monotonic() - last_validation > 150:
+        if processes.rank == 0 and time.monotonic() - last_validation > 150:
             report()
             last_validation = time.monotonic()
-    report()
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True).stdout.strip()
-    record = {
-        "network": arguments.name, "commit": commit, "config": run.settings, "samples_seen": run.samples,
-        "seconds": round(run.seconds), "training_samples": len(train), "scores": run.log[-1]["validation"],
-    }
-    (run.out / "run.json").write_text(json.dumps(record, indent=2) + "\n")
+    if processes.rank == 0:
+        report()
+        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True).stdout.strip()
+        record = {
+            "network": arguments.name, "commit": commit, "config": settings, "samples_seen": run.samples,
+            "seconds": round(run.seconds), "training_samples": len(train), "scores": run.log[-1]["validation"],
+        }
+        (run.out / "run.json").write_text(json.dumps(record, indent=2) + "\n")
+    if processes.count > 1:
+        distributed.destroy_process_group()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,63 @@
+"""Checks of the training program itself: `python -m unittest training/test_training.py` (about five minutes on two cores).
+
+Needs the release build of `sketch2pq`, which makes the few samples.
+"""
+
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import torch
+
+HERE = pathlib.Path(__file__).parent
+BINARY = HERE.parent / "target" / "release" / "sketch2pq"
+
+
+class Training(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.work = pathlib.Path(cls.folder.name)
+        for name, seeds in (("train", "0..96"), ("validation", "9000000..9000024")):
+            subprocess.run([BINARY, "generate", "--seeds", seeds, "--out", cls.work / name, "--shard-size", "24"], check=True)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.folder.cleanup()
+
+    def train(self, out, *more, launcher=(sys.executable,), network="bsr_net"):
+        command = [
+            *launcher, HERE / "train.py", network, "--data", self.work / "train", "--validation", self.work / "validation",
+            "--threads", "1", "--out", self.work / out, *more,
+        ]
+        subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
+        entries = [json.loads(line) for line in (self.work / out / "log.jsonl").read_text().splitlines()]
+        return torch.load(self.work / out / "weights.pt", weights_only=True), entries
+
+    def test_a_stopped_run_resumes_exactly(self):
+        whole, _ = self.train("whole", "--samples", "640")
+        self.train("parts", "--samples", "640", "--stop-at", "320")
+        parts, _ = self.train("parts", "--samples", "640")
+        for name, values in whole.items():
+            self.assertTrue(torch.equal(values, parts[name]), name)
+
+    def test_two_processes_learn_as_one_does(self):
+        launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+        _, alone = self.train("alone", "--samples", "2560")
+        _, together = self.train("together", "--samples", "2560", launcher=launcher)
+        self.assertEqual(alone[-1]["samples"], together[-1]["samples"])
+        scores = [entries[-1]["validation"]["d"] for entries in (alone, together)]
+        self.assertLess(abs(scores[0] / scores[1] - 1), 0.2, scores)
+        self.assertLess(max(scores), 0.7 * alone[-1]["validation"]["d_coons"])
+
+    def test_32_samples_can_be_learned_by_heart(self):
+        _, entries = self.train("overfit", "--samples", "12800", "--overfit", "32")
+        _, begin = self.train("begin", "--samples", "32", "--overfit", "32")
+        self.assertLess(entries[-1]["loss"], 0.2 * begin[-1]["loss"])
+
+
+if __name__ == "__main__":
+    unittest.main()
