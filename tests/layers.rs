@@ -15,7 +15,7 @@ const BELOW: [(&str, &[&str]); 12] = [
     ("pipeline", &["infer", "mesh", "field", "surface", "sketch", "numeric"]),
     ("picture", &["pipeline", "mesh", "field", "surface", "sketch"]),
     ("datagen", &["infer", "mesh", "field", "surface", "sketch", "numeric"]),
-    ("evaluate", &["datagen", "pipeline", "infer", "mesh", "field", "surface", "sketch", "numeric"]),
+    ("evaluate", &["datagen", "picture", "pipeline", "infer", "mesh", "field", "surface", "sketch", "numeric"]),
     ("ffi", &["pipeline", "infer", "mesh", "field", "surface", "sketch"]),
     ("control", &[]),
 ];

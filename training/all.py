@@ -9,6 +9,8 @@ import pathlib
 import subprocess
 import sys
 
+import tasks
+
 ROOT = pathlib.Path(__file__).parent.parent
 WORK = ROOT / "work"
 # Share of the time for each network; VD-Net carries the shape.
@@ -34,12 +36,12 @@ def main():
     generate(0, arguments.samples, WORK / "train")
     generate(VALIDATION, 2_048, WORK / "validation")
     for name, share in SHARES.items():
-        extra = ["--helper", f"vd_net={WORK / 'runs' / 'vd_net' / 'weights.pt'}"] if name == "od_net" else []
+        extra = [part for needed in tasks.TASKS[name].needs for part in ("--helper", f"{needed}={WORK / 'runs' / needed / 'weights.pt'}")]
         run(
             sys.executable, "training/train.py", name, "--data", WORK / "train", "--validation", WORK / "validation",
             "--minutes", arguments.hours * 60 * share, "--threads", arguments.threads, *extra,
         )
-        run(sys.executable, "training/export.py", name, WORK / "runs" / name / "weights.pt")
+        run(sys.executable, "training/export.py", name, WORK / "runs" / name / "weights.pt", "--validation", WORK / "validation")
     run(sys.executable, "training/score.py", "--validation", WORK / "validation", "--threads", arguments.threads)
     records = [part for name in SHARES for part in ("--record", f"{name}={WORK / 'runs' / name / 'record.json'}")]
     run(sys.executable, "training/manifest.py", *records)

@@ -38,6 +38,16 @@ class Shards:
     def __len__(self):
         return self.starts[-1]
 
+    def seeds(self):
+        """Ranges [first, end) of the samples' seeds."""
+        ranges = []
+        for seed in sorted(line["seed"] for line in self.meta):
+            if ranges and seed <= ranges[-1][1] + 8:
+                ranges[-1][1] = seed + 1
+            else:
+                ranges.append([seed, seed + 1])
+        return ranges
+
     def batch(self, indices):
         """The samples with these numbers, as float32 tensors in their natural units."""
         rows = {name: [] for name in NAMES}

@@ -1,11 +1,14 @@
 """Exports trained weights to ONNX with fp16-stored weights: `python training/export.py vd_net work/runs/vd_net/weights.pt`.
 
-Checks that ONNX Runtime agrees with PyTorch on random inputs before it writes models/NAME.onnx.
+Checks that ONNX Runtime agrees with PyTorch before it writes models/NAME.onnx: on random input, and with `--validation` on what
+the network sees of 40 held-out sketches. The run's record and curves go to models/records/. The embedded engine
+is compared with ONNX Runtime by `cargo test --test infer`.
 """
 
 import argparse
 import io
 import pathlib
+import shutil
 
 import numpy
 import onnx
@@ -13,7 +16,9 @@ import onnxruntime
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+import data
 import nets
+import tasks
 
 MODELS = pathlib.Path(__file__).parent.parent / "models"
 
@@ -33,7 +38,21 @@ def store_fp16(model):
     return model
 
 
-def export(name, weights, target):
+def held_out_inputs(name, folder, count=40):
+    """What the network sees of held-out sketches; networks that others build on come from models/."""
+    from train import initial_weights
+
+    helpers = {}
+    for needed in tasks.TASKS[name].needs:
+        helpers[needed] = nets.make(needed).eval()
+        helpers[needed].load_state_dict(initial_weights(MODELS / f"{needed}.onnx"))
+    shards = data.Shards(folder)
+    chosen = (shards.occluded if tasks.TASKS[name].occluded_only else list(range(len(shards))))[:count]
+    generator = torch.Generator().manual_seed(7)
+    return tasks.TASKS[name].prepare(shards.batch(chosen), generator, helpers, training=False)["input"]
+
+
+def export(name, weights, target, validation):
     inputs, _, _, _, size, _ = nets.SHAPES[name]
     network = nets.make(name).eval()
     network.load_state_dict(torch.load(weights, weights_only=True))
@@ -46,14 +65,24 @@ def export(name, weights, target):
     torch.onnx.export(network, (example,), buffer, input_names=["x"], output_names=["y"], opset_version=17, dynamo=False)
     model = store_fp16(onnx.load_from_string(buffer.getvalue()))
     onnx.checker.check_model(model)
-    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    with torch.no_grad():
-        expected = network(example).numpy()
-    error = float(numpy.abs(session.run(["y"], {"x": example.numpy()})[0] - expected).max())
+    # One thread: those of ONNX Runtime spin while they wait, which starves a training run beside it.
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    error = 0.0
+    for sample in torch.cat([example, held_out_inputs(name, validation)] if validation else [example]):
+        with torch.no_grad():
+            expected = network(sample[None]).numpy()
+        error = max(error, float(numpy.abs(session.run(["y"], {"x": sample[None].numpy()})[0] - expected).max()))
     if error > 1e-3:
         raise SystemExit(f"{name}: ONNX Runtime differs from PyTorch by {error:.1e}")
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(model.SerializeToString())
+    records = target.parent / "records"
+    records.mkdir(exist_ok=True)
+    for source, suffix in (("run.json", ".json"), ("curves.png", ".png")):
+        if (weights.parent / source).exists():
+            shutil.copyfile(weights.parent / source, records / (name + suffix))
     print(f"{target.name}: {target.stat().st_size / 1e6:.1f} MB, differs from PyTorch by {error:.1e}")
 
 
@@ -62,5 +91,6 @@ if __name__ == "__main__":
     parser.add_argument("name", choices=sorted(nets.SHAPES))
     parser.add_argument("weights", type=pathlib.Path)
     parser.add_argument("--out", type=pathlib.Path)
+    parser.add_argument("--validation", type=pathlib.Path, help="folder of held-out shards to compare on")
     arguments = parser.parse_args()
-    export(arguments.name, arguments.weights, arguments.out or MODELS / f"{arguments.name}.onnx")
+    export(arguments.name, arguments.weights, arguments.out or MODELS / f"{arguments.name}.onnx", arguments.validation)

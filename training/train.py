@@ -270,7 +270,8 @@ def main():
         commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True).stdout.strip()
         record = {
             "network": arguments.name, "commit": commit, "config": settings, "samples_seen": run.samples,
-            "seconds": round(run.seconds), "training_samples": len(train), "scores": run.log[-1]["validation"],
+            "seconds": round(run.seconds), "training_samples": len(train),
+            "training_seeds": train.seeds(), "initial": arguments.initial, "scores": run.log[-1]["validation"],
         }
         (run.out / "run.json").write_text(json.dumps(record, indent=2) + "\n")
     if processes.count > 1:
