@@ -158,32 +158,40 @@ def layer_scores(h, normal, true_h, true_normal, valid, prepared):
 
 class BsrNet:
     name = "bsr_net"
-    needs = ()
+    needs = ("vd_net", "od_net")
     occluded_only = False
     basis = geometry.basis_matrix(100)
 
     def prepare(self, batch, generator, helpers, training=True):
-        batch = geometry.shear(batch, generator, COT_ELEVATION)
-        batch, samples = with_reference(batch, generator)
-        control = dihedral(batch["control"], int(torch.randint(0, 4, (1,), generator=generator)))
-        valid = batch["valid"]
+        batch = geometry.shear(batch, generator, COT_ELEVATION) if training else batch
+        od = OdNet().prepare(batch, generator, helpers, training)
+        hidden = OdNet().decode(predict(helpers["od_net"], od["input"], fast=training), od)
+        valid = od["valid"]
         seen = (valid > 0).float()
-        # What the depth networks get wrong: a smooth error, the same for both layers near a contour.
-        coarse = torch.randn(len(control), 1, 5, 5, generator=generator)
-        level = 0.15 * torch.rand(len(control), 1, 1, 1, generator=generator)
-        error = F.interpolate(coarse, size=(MAP, MAP), mode="bicubic", align_corners=True) * level
-        control = control.clone()
-        xy = control[..., :2].flatten(1, 2)
-        control[..., 2] = control[..., 2] + geometry.lookup(error, xy)[:, 0].reshape(control.shape[:3])
-        depth = (batch["depth"] + error) * seen
+        # What the depth networks get wrong, the surface follows: its task is the net of what they see, not another guess.
+        error = (torch.stack([od["visible_h"], hidden[0]], 1) - od["depth"]) * seen
+        normal = torch.stack([od["visible_normal"], hidden[1]], 1)
+        if training:
+            # A quarter of the samples have a smooth random error and true normals instead, so that the network stays right
+            # when those networks get better.
+            coarse = torch.randn(len(seen), 1, 5, 5, generator=generator)
+            level = 0.15 * torch.rand(len(seen), 1, 1, 1, generator=generator)
+            smooth = F.interpolate(coarse, size=(MAP, MAP), mode="bicubic", align_corners=True) * level
+            chosen = torch.rand(len(seen), 1, 1, 1, generator=generator) < 0.25
+            error = torch.where(chosen, smooth * seen, error)
+            normal = torch.where(chosen[..., None], od["normal"], normal)
+        control = follow(od["control"], od["depth"], error, seen)
+        if training:
+            control = dihedral(control, int(torch.randint(0, 4, (1,), generator=generator)))
+        depth = od["depth"] + error
         net = geometry.coons(control)
         maps = torch.cat(
             [
-                seen[:, :1], depth[:, :1], (valid[:, :1] == 1).float(), (valid[:, :1] == 2).float(), batch["normal"][:, 0],
-                seen[:, 1:], depth[:, 1:], batch["normal"][:, 1], batch["strokes"][:, 2:3],
+                seen[:, :1], depth[:, :1], (valid[:, :1] == 1).float(), (valid[:, :1] == 2).float(), normal[:, 0],
+                seen[:, 1:], depth[:, 1:], normal[:, 1], od["strokes"][:, 2:3],
             ], 1,
         )
-        return {**batch, "samples": samples, "control": control, "coons": net, "input": self.assemble(net, maps)}
+        return {**od, "control": control, "coons": net, "input": self.assemble(net, maps)}
 
     @staticmethod
     def assemble(net, maps):
@@ -224,6 +232,33 @@ class BsrNet:
 
     def headline(self, scores):
         return scores["d"] / max(scores["d_coons"], 1e-9)
+
+
+def spread(maps, seen):
+    """Maps (B, C, 64, 64) continued smoothly from where `seen` is 1 over the whole canvas, by averages over growing windows."""
+    result, reach = maps * seen, seen
+    for width in (3, 5, 9, 17, 33, 65):
+        average = lambda x: F.avg_pool2d(x, width, 1, width // 2)
+        weight = average(seen)
+        fresh = average(maps * seen) / weight.clamp_min(1e-6)
+        result = torch.where(reach > 0, result, fresh)
+        reach = torch.where(weight > 1e-6, torch.ones_like(reach), reach)
+    return result
+
+
+def follow(control, depth, error, seen):
+    """The net (B, 30, 30, 3) moved in depth by the error of the layer that each point lies on, evened out over the net."""
+    xy = control[..., :2].flatten(1, 2)
+    at = lambda maps: geometry.lookup(maps, xy)
+    coverage = at(seen)
+    apart = (at(depth * seen) / coverage.clamp_min(1e-3) - control[..., 2].flatten(1)[:, None]).abs()
+    apart = torch.where(coverage > 0.3, apart, torch.full((), 1e3))
+    own = at(spread(error, seen)).gather(1, apart.argmin(1, keepdim=True))
+    own = own.reshape(-1, 1, control.shape[1], control.shape[2])
+    # Binomial, five wide: where the layers meet at a contour their errors differ.
+    for _ in range(2):
+        own = F.avg_pool2d(F.pad(own, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    return torch.cat([control[..., :2], control[..., 2:] + own[:, 0, :, :, None]], -1)
 
 
 def dihedral(control, turns):
