@@ -4,7 +4,7 @@
  *
  * The pipeline
  *   S2pqSketch  -- sketch_to_surface -->  S2pqSurface  -- sketch_to_cdf -->  S2pqField  -- extract_pq_mesh -->  S2pqMesh
- *   A host that has a NURBS surface enters by s2pq_surface_from_nurbs.
+ *   A host that has a NURBS surface enters by s2pq_surface_from_nurbs, and goes on with surface_to_cdf and its own feature curves.
  *
  * Calls
  *   Every call that can fail returns an S2pqStatus and writes its outputs only on success. The status says what to do; s2pq_last_message,
@@ -156,7 +156,7 @@ typedef uint32_t S2pqBorder;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's
+// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf or surface_to_cdf; independent of the surface's
 // handle.
 typedef struct S2pqField S2pqField;
 
@@ -267,20 +267,38 @@ typedef struct S2pqSurfaceDiagnostics {
   double misfacing;
 } S2pqSurfaceDiagnostics;
 
-// Options of sketch_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
+// Options of sketch_to_cdf and surface_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
 typedef struct S2pqFieldOptions {
   // sizeof(S2pqFieldOptions)
   uint32_t struct_size;
   // 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and
   // smoothness alone.
   uint32_t use_network;
-  // 1: one family of directions follows the border; 0, the default: it may cross it.
+  // 0, the default: the directions may cross the border; 1: one family follows it; else the sum of the sides that
+  // it follows: 2 for u = min, 4 for u = max, 8 for v = min, 16 for v = max.
   uint32_t align_border;
   // Cells of the triangulation along the longer side of a patch; 0, the default: chosen by the library. 8 to 256.
   uint32_t resolution;
   // Smallest crossing angle of the two families, degrees, in (0, 80]. Default 20.
   double crossing_floor_deg;
 } S2pqFieldOptions;
+
+// Curves on or near a surface, lent to surface_to_cdf. Set struct_size before the call, and clear the rest.
+typedef struct S2pqCurves {
+  // sizeof(S2pqCurves)
+  uint32_t struct_size;
+  // Not used; 0.
+  uint32_t reserved;
+  // Number of curves.
+  uint64_t curve_count;
+  // First point of each curve and, last, the number of points: curve_count + 1 entries, each curve two points or more.
+  const uint32_t *starts;
+  // x, y, z of all points, world frame; they are brought to the nearest points of the surface, at most a tenth of its
+  // size away.
+  const double *points;
+  // For each curve 1: one family follows it exactly, or 0: it yields where curves contradict each other; NULL: all 0.
+  const uint8_t *hard;
+} S2pqCurves;
 
 // How good a field is, over all its patches. Set struct_size before the call.
 typedef struct S2pqFieldDiagnostics {
@@ -530,7 +548,7 @@ S2pqStatus sketch_to_surface(struct S2pqSession *session,
                              const struct S2pqSurfaceOptions *options,
                              struct S2pqSurface **surface);
 
-// Makes a surface of a host's own NURBS patch, copied; it enters the pipeline at sketch_to_cdf.
+// Makes a surface of a host's own NURBS patch, copied; it enters the pipeline at surface_to_cdf.
 //
 // - `nurbs`: clamped, of degree 1 to 5, rational or not.
 // - `surface`: takes the new surface of one patch.
@@ -627,6 +645,23 @@ S2pqStatus sketch_to_cdf(struct S2pqSession *session,
                          const struct S2pqFieldOptions *options,
                          struct S2pqField **field);
 
+// Finds a conjugate direction field on a surface, e.g. a host's own from s2pq_surface_from_nurbs, aligned with curves in
+// space.
+//
+// - `surface`: read only.
+// - `curves`: NULL for none; then, unless sides are aligned, the field is the smoothest one near the principal directions.
+// - `options`: NULL for the defaults; no network runs.
+// - `field`: takes the new field.
+//
+// Must be valid:
+// `curves` is NULL or valid as its `struct_size` and counts say; `options` is NULL or valid as its `struct_size` says;
+// `field` is valid for writing.
+S2pqStatus surface_to_cdf(struct S2pqSession *session,
+                          const struct S2pqSurface *surface,
+                          const struct S2pqCurves *curves,
+                          const struct S2pqFieldOptions *options,
+                          struct S2pqField **field);
+
 // First vertex and first triangle of each patch, `patch_count` + 1 entries each; lent until the field is freed.
 //
 // The arrays of a field hold its patches one after another.
@@ -668,6 +703,13 @@ S2pqStatus s2pq_field_singularities(const struct S2pqField *field,
                                     const uint32_t **vertices,
                                     const int32_t **indices,
                                     size_t *count);
+
+// Triangles where a hard curve or an aligned side left no conjugate pair above the smallest crossing angle, so that the
+// angle won and the pair is not conjugate; lent until the field is freed.
+//
+// Must be valid:
+// `triangles` and `count` are valid for writing.
+S2pqStatus s2pq_field_floor_triangles(const struct S2pqField *field, const uint32_t **triangles, size_t *count);
 
 // How good a field is.
 //

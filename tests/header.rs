@@ -13,7 +13,7 @@ const MANUAL: &str = r"/* sketch2pq: an architect's sketch in, a NURBS surface a
  *
  * The pipeline
  *   S2pqSketch  -- sketch_to_surface -->  S2pqSurface  -- sketch_to_cdf -->  S2pqField  -- extract_pq_mesh -->  S2pqMesh
- *   A host that has a NURBS surface enters by s2pq_surface_from_nurbs.
+ *   A host that has a NURBS surface enters by s2pq_surface_from_nurbs, and goes on with surface_to_cdf and its own feature curves.
  *
  * Calls
  *   Every call that can fail returns an S2pqStatus and writes its outputs only on success. The status says what to do; s2pq_last_message,

@@ -6,8 +6,8 @@ use sketch2pq::Error;
 use sketch2pq::infer::BackendChoice;
 use sketch2pq::mesh::{BorderMode, border_vertices};
 use sketch2pq::pipeline::{
-    FieldOptions, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
-    sketch_to_surface,
+    FeatureCurve, FieldOptions, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfaceResult, extract_pq_mesh,
+    sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
 use sketch2pq::sketch::{DepthSample, Layer, Sketch, Stroke, StrokeKind, View};
 use sketch2pq::surface::{KnotVector, NurbsSurface, SurfaceProjector};
@@ -259,6 +259,42 @@ fn the_same_input_gives_the_same_bytes_whatever_the_threads() {
     let first = run(1);
     assert!(run(1) == first);
     assert!(run(2) == first);
+}
+
+#[test]
+fn curves_in_space_lead_the_field_of_a_hosts_surface() {
+    // On a cylinder every direction but the ruling has the ruling as its conjugate.
+    let mut session = session();
+    let helix = |radius: f64, slope: f64, shift: f64| -> Vec<Point3<f64>> {
+        (0..=20)
+            .map(|i| 0.1 + f64::from(i) * 0.067)
+            .map(|a| Point3::new(a.cos(), a.sin(), slope * (a - 0.1) + shift) * radius)
+            .collect()
+    };
+    for (radius, hard) in [(1.0, true), (1.0, false), (2e4, false)] {
+        let surface = SurfaceResult::from_nurbs(vec![cylinder(radius)]).unwrap();
+        let height = cylinder(1.0).control_points().iter().map(|p| p.z).fold(0.0, f64::max);
+        let curves: Vec<FeatureCurve> = [0.05, 0.3, 0.55]
+            .map(|shift| FeatureCurve { points: helix(radius, 0.25 * height, shift * height), hard })
+            .to_vec();
+        let field = surface_to_cdf(&mut session, &surface, &curves, &FieldOptions::default()).unwrap();
+        assert!(field.measures().feature_angle_deg < 1.0, "{}", field.measures().feature_angle_deg);
+        assert!(field.measures().conjugacy_max < 1e-2);
+        let patch = &field.patches[0];
+        assert!(patch.field.singularities.is_empty() && !patch.feature_lines.is_empty());
+        for (t, [u, v]) in patch.directions().enumerate() {
+            let ruling = u.z.abs().max(v.z.abs()).min(1.0).acos().to_degrees();
+            assert!(ruling < 1.0, "{ruling} degrees on triangle {t}");
+        }
+    }
+    let surface = SurfaceResult::from_nurbs(vec![cylinder(1.0)]).unwrap();
+    for points in
+        [vec![Point3::origin()], vec![Point3::new(9.0, 0.0, 0.0); 2], vec![Point3::new(f64::NAN, 0.0, 0.0); 2]]
+    {
+        let curves = [FeatureCurve { points, hard: false }];
+        let result = surface_to_cdf(&mut session, &surface, &curves, &FieldOptions::default());
+        assert!(matches!(result, Err(Error::Argument { name: "curves", .. })));
+    }
 }
 
 #[test]

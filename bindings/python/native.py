@@ -80,6 +80,19 @@ class FieldOptions(c.Structure):
     ]
 
 
+class Curves(c.Structure):
+    """S2pqCurves"""
+
+    _fields_ = [
+        ("struct_size", _u32),
+        ("reserved", _u32),
+        ("curve_count", _u64),
+        ("starts", _u32s),
+        ("points", _f64s),
+        ("hard", _u8s),
+    ]
+
+
 class FieldDiagnostics(c.Structure):
     """S2pqFieldDiagnostics"""
 
@@ -131,6 +144,7 @@ LAYOUT = {
     Nurbs: (80, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 72]),
     SurfaceDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
     FieldOptions: (24, [0, 4, 8, 12, 16]),
+    Curves: (40, [0, 4, 8, 16, 24, 32]),
     FieldDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
     MeshOptions: (32, [0, 4, 8, 12, 16, 24]),
     MeshReport: (72, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64]),
@@ -176,11 +190,13 @@ SIGNATURES = {
     "s2pq_surface_free": (None, [_handle]),
     "s2pq_field_options_init": (_u32, [_out(FieldOptions), _size]),
     "sketch_to_cdf": (_u32, [_handle, _handle, _handle, _out(FieldOptions), _out(_handle)]),
+    "surface_to_cdf": (_u32, [_handle, _handle, _out(Curves), _out(FieldOptions), _out(_handle)]),
     "s2pq_field_patches": (_u32, [_handle, _out(_u32s), _out(_u32s), _out(_size)]),
     "s2pq_field_vertices": (_u32, [_handle, _out(_f64s), _out(_size)]),
     "s2pq_field_triangles": (_u32, [_handle, _out(_u32s), _out(_size)]),
     "s2pq_field_directions": (_u32, [_handle, _out(_f64s), _out(_size)]),
     "s2pq_field_singularities": (_u32, [_handle, _out(_u32s), _out(_i32s), _out(_size)]),
+    "s2pq_field_floor_triangles": (_u32, [_handle, _out(_u32s), _out(_size)]),
     "s2pq_field_diagnostics": (_u32, [_handle, _out(FieldDiagnostics)]),
     "s2pq_field_report_json": (_u32, [_handle, _out(_text), _out(_size)]),
     "s2pq_field_free": (None, [_handle]),

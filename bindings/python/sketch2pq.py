@@ -30,6 +30,7 @@ _library = None
 STROKE_KINDS = {"visible_boundary": 0, "occluded_boundary": 1, "contour": 2, "feature": 3}
 LAYERS = {"visible": 0, "occluded": 1}
 BACKENDS = {"auto": 0, "ort": 1, "embedded": 2}
+SIDES = {"u_min": 2, "u_max": 4, "v_min": 8, "v_max": 16}
 BORDERS = {"trimmed": 0, "aligned": 1, "interior": 2}
 
 
@@ -106,6 +107,12 @@ def _number(names, name, what):
     if name not in names:
         raise ArgumentError(native.INVALID_ARGUMENT, f"{what} is {name!r}, expected one of {', '.join(names)}")
     return names[name]
+
+
+def _sides(aligned):
+    if isinstance(aligned, (bool, np.bool_)):
+        return int(aligned)
+    return sum({_number(SIDES, side, "align_border") for side in aligned})
 
 
 def _doubles(values, columns, what):
@@ -375,6 +382,11 @@ class Field(_Handle):
         return self._view(vertices, count.value), self._view(indices, count.value)
 
     @property
+    def floor_triangles(self):
+        """Triangles where a hard curve left no conjugate pair above the smallest crossing angle."""
+        return self._array("s2pq_field_floor_triangles", ctypes.c_uint32)
+
+    @property
     def diagnostics(self):
         """How good the field is."""
         return _measures(self._struct("s2pq_field_diagnostics", native.FieldDiagnostics))
@@ -519,18 +531,48 @@ class Session(_Handle):
         options = _options(native.SurfaceOptions, "s2pq_surface_options_init", corners=pointer, fairness=fairness)
         return self._call(Surface, "sketch_to_surface", sketch._pointer, ctypes.byref(options))
 
-    def field(self, surface, sketch=None, use_network=None, align_border=None, resolution=None, crossing_floor_deg=None):
-        """Surface, and the sketch with its feature lines, to a conjugate direction field."""
+    def field(
+        self,
+        surface,
+        sketch=None,
+        use_network=None,
+        align_border=None,
+        resolution=None,
+        crossing_floor_deg=None,
+        curves=None,
+        hard=False,
+    ):
+        """Surface to a conjugate direction field, aligned with the sketch's feature lines or with curves in space.
+
+        `curves`: arrays of (x, y, z) on or near the surface, instead of a sketch; `hard`: whether they are followed exactly, one truth
+        value for all or one for each. `align_border`: True, or some of SIDES.
+        """
         options = _options(
             native.FieldOptions,
             "s2pq_field_options_init",
             use_network=None if use_network is None else int(bool(use_network)),
-            align_border=None if align_border is None else int(bool(align_border)),
+            align_border=None if align_border is None else _sides(align_border),
             resolution=resolution,
             crossing_floor_deg=crossing_floor_deg,
         )
-        sketch = sketch._pointer if sketch is not None else None
-        return self._call(Field, "sketch_to_cdf", sketch, surface._pointer, ctypes.byref(options))
+        if sketch is not None:
+            if curves is not None:
+                raise ArgumentError(native.INVALID_ARGUMENT, "a sketch and curves, expected one of them")
+            return self._call(Field, "sketch_to_cdf", sketch._pointer, surface._pointer, ctypes.byref(options))
+        # Kept until the call ends: the struct points into them.
+        arrays = [_doubles(curve, 3, "curves")[0] for curve in (() if curves is None else curves)]
+        starts = np.cumsum([0] + [len(array) for array in arrays], dtype=np.uint32)
+        points, points_pointer = _doubles(np.concatenate(arrays) if arrays else [], 3, "curves")
+        flags = np.ascontiguousarray(np.broadcast_to(hard, len(arrays)), dtype=np.uint8)
+        given = native.Curves(
+            struct_size=ctypes.sizeof(native.Curves),
+            curve_count=len(arrays),
+            starts=starts.ctypes.data_as(ctypes.POINTER(ctypes.c_uint32)),
+            points=points_pointer,
+            hard=flags.ctypes.data_as(ctypes.POINTER(ctypes.c_uint8)),
+        )
+        pointers = (surface._pointer, ctypes.byref(given), ctypes.byref(options))
+        return self._call(Field, "surface_to_cdf", *pointers)
 
     def mesh(self, field, faces=None, edge_length=None, border="trimmed", planarity=None, strict=None):
         """Field to panels; `border` is a key of BORDERS."""

@@ -6,11 +6,13 @@ use super::options::{Sized32, fill, read, write};
 use super::session::S2pqSession;
 use super::sketch::S2pqSketch;
 use super::surface::S2pqSurface;
-use super::{S2pqStatus, flag, lend_array, lend_text, lent_text, output};
-use crate::pipeline::{self, FieldOptions, FieldResult};
+use super::{S2pqStatus, flag, lend_array, lend_text, lent_text, output, slice};
+use crate::error::Error;
+use crate::pipeline::{self, FeatureCurve, FieldOptions, FieldResult};
+use nalgebra::Point3;
 use std::ffi::{CString, c_char};
 
-/// Options of sketch_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
+/// Options of sketch_to_cdf and surface_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct S2pqFieldOptions {
@@ -19,7 +21,8 @@ pub struct S2pqFieldOptions {
     /// 1: the network's guess steers the field where the sketch has an outline, the default; 0: feature lines and
     /// smoothness alone.
     pub use_network: u32,
-    /// 1: one family of directions follows the border; 0, the default: it may cross it.
+    /// 0, the default: the directions may cross the border; 1: one family follows it; else the sum of the sides that
+    /// it follows: 2 for u = min, 4 for u = max, 8 for v = min, 16 for v = max.
     pub align_border: u32,
     /// Cells of the triangulation along the longer side of a patch; 0, the default: chosen by the library. 8 to 256.
     pub resolution: u32,
@@ -33,10 +36,87 @@ unsafe impl Sized32 for S2pqFieldOptions {
     const DEFAULT: Self = Self {
         struct_size: 0,
         use_network: FieldOptions::DEFAULT.use_network as u32,
-        align_border: FieldOptions::DEFAULT.align_border as u32,
+        align_border: 0,
         resolution: FieldOptions::DEFAULT.resolution as u32,
         crossing_floor_deg: FieldOptions::DEFAULT.crossing_floor_deg,
     };
+}
+
+impl S2pqFieldOptions {
+    fn checked(&self) -> Result<FieldOptions, Error> {
+        let bits = self.align_border;
+        if bits > 1 && (bits & 1 == 1 || bits > 0b11110) {
+            let expected = "0, 1, or a sum of 2, 4, 8 and 16";
+            return Err(Error::Argument { name: "align_border", value: bits.to_string(), expected });
+        }
+        Ok(FieldOptions {
+            use_network: flag("use_network", self.use_network)?,
+            aligned_sides: [2, 4, 8, 16].map(|side| bits == 1 || bits & side != 0),
+            resolution: self.resolution as usize,
+            crossing_floor_deg: self.crossing_floor_deg,
+        })
+    }
+}
+
+/// Curves on or near a surface, lent to surface_to_cdf. Set struct_size before the call, and clear the rest.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct S2pqCurves {
+    /// sizeof(S2pqCurves)
+    pub struct_size: u32,
+    /// Not used; 0.
+    pub reserved: u32,
+    /// Number of curves.
+    pub curve_count: u64,
+    /// First point of each curve and, last, the number of points: curve_count + 1 entries, each curve two points or more.
+    pub starts: *const u32,
+    /// x, y, z of all points, world frame; they are brought to the nearest points of the surface, at most a tenth of its
+    /// size away.
+    pub points: *const f64,
+    /// For each curve 1: one family follows it exactly, or 0: it yields where curves contradict each other; NULL: all 0.
+    pub hard: *const u8,
+}
+
+// SAFETY: repr(C), size first, two u32, a u64, three pointers: no padding, and any bits are valid raw pointers.
+unsafe impl Sized32 for S2pqCurves {
+    const NAME: &'static str = "S2pqCurves";
+    const DEFAULT: Self = Self {
+        struct_size: 0,
+        reserved: 0,
+        curve_count: 0,
+        starts: std::ptr::null(),
+        points: std::ptr::null(),
+        hard: std::ptr::null(),
+    };
+}
+
+impl S2pqCurves {
+    /// Copies what the host lends.
+    ///
+    /// # Safety
+    /// The arrays are as long as the counts say.
+    unsafe fn copied(&self) -> Result<Vec<FeatureCurve>, Error> {
+        let count = usize::try_from(self.curve_count).unwrap_or(usize::MAX);
+        if count == 0 {
+            return Ok(vec![]);
+        }
+        // SAFETY: the host's promise.
+        let starts = unsafe { slice("starts", self.starts, count.saturating_add(1)) }?;
+        if starts[0] != 0 || starts.windows(2).any(|pair| pair[1] < pair[0]) {
+            let value = "not ascending from 0".into();
+            return Err(Error::Argument { name: "starts", value, expected: "the first point of each curve" });
+        }
+        // SAFETY: the host's promise.
+        let points = unsafe { slice("points", self.points, 3 * starts[count] as usize) }?;
+        // SAFETY: the host's promise.
+        let hard = if self.hard.is_null() { &[] } else { unsafe { slice("hard", self.hard, count) }? };
+        let curve = |k: usize| {
+            let xyz = &points[3 * starts[k] as usize..3 * starts[k + 1] as usize];
+            let points = xyz.chunks_exact(3).map(|p| Point3::new(p[0], p[1], p[2])).collect();
+            Ok(FeatureCurve { points, hard: flag("hard", hard.get(k).copied().unwrap_or(0).into())? })
+        };
+        (0..count).map(curve).collect()
+    }
 }
 
 /// How good a field is, over all its patches. Set struct_size before the call.
@@ -70,7 +150,7 @@ unsafe impl Sized32 for S2pqFieldDiagnostics {
     };
 }
 
-/// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf; independent of the surface's
+/// A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf or surface_to_cdf; independent of the surface's
 /// handle.
 pub struct S2pqField {
     pub(super) result: FieldResult,
@@ -79,6 +159,7 @@ pub struct S2pqField {
     directions: Vec<f64>,
     singular_vertices: Vec<u32>,
     singular_indices: Vec<i32>,
+    floor_triangles: Vec<u32>,
     vertex_starts: Vec<u32>,
     triangle_starts: Vec<u32>,
     report: CString,
@@ -97,6 +178,7 @@ impl S2pqField {
             directions: vec![],
             singular_vertices: vec![],
             singular_indices: vec![],
+            floor_triangles: vec![],
             vertex_starts: vec![0],
             triangle_starts: vec![0],
             report,
@@ -109,6 +191,8 @@ impl S2pqField {
             field.directions.extend(patch.directions().flat_map(|[u, v]| [u.x, u.y, u.z, v.x, v.y, v.z]));
             field.singular_vertices.extend(patch.field.singularities.iter().map(|s| first + s.vertex));
             field.singular_indices.extend(patch.field.singularities.iter().map(|s| s.index));
+            let first = (field.triangles.len() / 3 - patch.field.mesh.triangles.len()) as u32;
+            field.floor_triangles.extend(patch.field.diagnostics.floor_triangles.iter().map(|t| first + t));
             field.vertex_starts.push((field.vertices.len() / 3) as u32);
             field.triangle_starts.push((field.triangles.len() / 3) as u32);
         }
@@ -153,14 +237,39 @@ pub unsafe extern "C" fn sketch_to_cdf(
         // SAFETY: not freed during the call, as the header asks.
         let sketch = if sketch.is_null() { None } else { Some(&unsafe { get(sketch) }?.sketch) };
         // SAFETY: the host's promise.
-        let options = unsafe { read(options) }?;
-        let options = FieldOptions {
-            use_network: flag("use_network", options.use_network)?,
-            align_border: flag("align_border", options.align_border)?,
-            resolution: options.resolution as usize,
-            crossing_floor_deg: options.crossing_floor_deg,
-        };
+        let options = unsafe { read(options) }?.checked()?;
         let result = pipeline::sketch_to_cdf(&mut *session.lock()?, sketch, &surface.result, &options)?;
+        place.set(lend(S2pqField::new(result)));
+        Ok(())
+    })
+}
+
+/// Finds a conjugate direction field on a surface, e.g. a host's own from s2pq_surface_from_nurbs, aligned with curves in
+/// space.
+///
+/// - `surface`: read only.
+/// - `curves`: NULL for none; then, unless sides are aligned, the field is the smoothest one near the principal directions.
+/// - `options`: NULL for the defaults; no network runs.
+/// - `field`: takes the new field.
+///
+/// # Safety
+/// `curves` is NULL or valid as its `struct_size` and counts say; `options` is NULL or valid as its `struct_size` says;
+/// `field` is valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn surface_to_cdf(
+    session: *mut S2pqSession,
+    surface: *const S2pqSurface,
+    curves: *const S2pqCurves,
+    options: *const S2pqFieldOptions,
+    field: *mut *mut S2pqField,
+) -> S2pqStatus {
+    guard(|| {
+        let place = output("field", field)?;
+        // SAFETY: not freed during the call, as the header asks.
+        let (session, surface) = unsafe { (get(session)?, get(surface)?) };
+        // SAFETY: the host's promise.
+        let (curves, options) = unsafe { (read(curves)?.copied()?, read(options)?.checked()?) };
+        let result = pipeline::surface_to_cdf(&mut *session.lock()?, &surface.result, &curves, &options)?;
         place.set(lend(S2pqField::new(result)));
         Ok(())
     })
@@ -256,6 +365,21 @@ pub unsafe extern "C" fn s2pq_field_singularities(
         indices.set(field.singular_indices.as_ptr());
         Ok(())
     })
+}
+
+/// Triangles where a hard curve or an aligned side left no conjugate pair above the smallest crossing angle, so that the
+/// angle won and the pair is not conjugate; lent until the field is freed.
+///
+/// # Safety
+/// `triangles` and `count` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_field_floor_triangles(
+    field: *const S2pqField,
+    triangles: *mut *const u32,
+    count: *mut usize,
+) -> S2pqStatus {
+    // SAFETY: not freed during the call, as the header asks.
+    guard(|| lend_array(&unsafe { get(field) }?.floor_triangles, 1, triangles, count))
 }
 
 /// How good a field is.

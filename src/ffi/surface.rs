@@ -257,7 +257,7 @@ unsafe fn nurbs_from_host(nurbs: *const S2pqNurbs) -> Result<NurbsSurface, Error
     NurbsSurface::new([u, v], points, weights)
 }
 
-/// Makes a surface of a host's own NURBS patch, copied; it enters the pipeline at sketch_to_cdf.
+/// Makes a surface of a host's own NURBS patch, copied; it enters the pipeline at surface_to_cdf.
 ///
 /// - `nurbs`: clamped, of degree 1 to 5, rational or not.
 /// - `surface`: takes the new surface of one patch.

@@ -2,8 +2,8 @@
 
 use super::matching::Cross;
 use super::topology::{TriangleFrames, wrap};
-use crate::surface::{FundamentalForms, SurfaceMesh};
-use nalgebra::Matrix3;
+use crate::surface::{FundamentalForms, SurfaceMesh, SurfacePoint};
+use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// The second fundamental form of a triangle in its orthonormal frame: II = [[h + a, b], [b, h - a]], 1 / length.
@@ -22,6 +22,18 @@ pub struct SecondForm {
 }
 
 impl SecondForm {
+    /// II in the plane of the orthonormal `x` and `y`, of a symmetric tensor in space.
+    pub fn of_tensor(tensor: &Matrix3<f64>, x: &Vector3<f64>, y: &Vector3<f64>) -> Self {
+        let [xx, xy, yy] = [(x, x), (x, y), (y, y)].map(|(p, q)| p.dot(&(tensor * q)));
+        Self { h: 0.5 * (xx + yy), a: 0.5 * (xx - yy), b: xy }
+    }
+
+    /// The symmetric tensor in space that is II in the plane of `x` and `y` and zero along their normal.
+    pub fn tensor(&self, x: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f64> {
+        let mixed = x * y.transpose() + y * x.transpose();
+        x * x.transpose() * (self.h + self.a) + mixed * self.b + y * y.transpose() * (self.h - self.a)
+    }
+
     /// Frobenius norm |II| = sqrt(k1^2 + k2^2).
     pub fn norm(&self) -> f64 {
         (2.0 * (self.h * self.h + self.a * self.a + self.b * self.b)).sqrt()
@@ -37,14 +49,22 @@ impl SecondForm {
         0.5 * self.b.atan2(self.a)
     }
 
+    /// II(u, v) for the unit vectors of `cross`.
+    pub fn value(&self, cross: &Cross) -> f64 {
+        let (sin, cos) = (2.0 * cross.bisector).sin_cos();
+        self.h * (2.0 * cross.half_crossing).cos() + self.a * cos + self.b * sin
+    }
+
+    /// Derivatives of [`SecondForm::value`] by bisector and half crossing angle.
+    pub fn slopes(&self, cross: &Cross) -> [f64; 2] {
+        let (sin, cos) = (2.0 * cross.bisector).sin_cos();
+        [2.0 * (self.b * cos - self.a * sin), -2.0 * self.h * (2.0 * cross.half_crossing).sin()]
+    }
+
     /// II(u, v) / |II| for the unit vectors of `cross`, in [-1/sqrt 2, 1/sqrt 2]; 0 where II = 0.
     pub fn residual(&self, cross: &Cross) -> f64 {
         let norm = self.norm();
-        if norm == 0.0 {
-            return 0.0;
-        }
-        let (sin, cos) = (2.0 * cross.bisector).sin_cos();
-        (self.h * (2.0 * cross.half_crossing).cos() + self.a * cos + self.b * sin) / norm
+        if norm == 0.0 { 0.0 } else { self.value(cross) / norm }
     }
 
     /// Angle of the direction conjugate to the one at `angle`; `None` where every direction is (a ruling of a developable, II = 0).
@@ -170,19 +190,7 @@ impl SecondForm {
 ///
 /// Vertices without a normal (collapsed sides) are left out; a triangle of only such vertices gets II = 0.
 pub fn second_forms(mesh: &SurfaceMesh, frames: &TriangleFrames) -> Vec<SecondForm> {
-    let tensors: Vec<Option<Matrix3<f64>>> = mesh
-        .points
-        .iter()
-        .map(|point| {
-            let forms = FundamentalForms::new(point)?;
-            let x = point.du.normalize();
-            let y = forms.normal.cross(&x);
-            let m = forms.second_in(point, &x, &y);
-            let mixed = x * y.transpose() + y * x.transpose();
-            let tensor = x * x.transpose() * m[(0, 0)] + mixed * m[(0, 1)] + y * y.transpose() * m[(1, 1)];
-            tensor.iter().all(|c| c.is_finite()).then_some(tensor)
-        })
-        .collect();
+    let tensors = vertex_tensors(mesh);
     (0..mesh.triangles.len())
         .map(|t| {
             let mut sum = Matrix3::zeros();
@@ -194,11 +202,23 @@ pub fn second_forms(mesh: &SurfaceMesh, frames: &TriangleFrames) -> Vec<SecondFo
             if count == 0.0 {
                 return SecondForm::default();
             }
-            let (x, y) = (&frames.x[t], &frames.y[t]);
-            let [xx, xy, yy] = [(x, x), (x, y), (y, y)].map(|(p, q)| p.dot(&(sum * q)) / count);
-            SecondForm { h: 0.5 * (xx + yy), a: 0.5 * (xx - yy), b: xy }
+            SecondForm::of_tensor(&(sum / count), &frames.x[t], &frames.y[t])
         })
         .collect()
+}
+
+/// II at each vertex as a tensor in space, zero along the normal.
+fn vertex_tensors(mesh: &SurfaceMesh) -> Vec<Option<Matrix3<f64>>> {
+    let tensor = |point: &SurfacePoint| {
+        let forms = FundamentalForms::new(point)?;
+        let x = point.du.normalize();
+        let y = forms.normal.cross(&x);
+        let m = forms.second_in(point, &x, &y);
+        let form = SecondForm { h: 0.5 * (m[(0, 0)] + m[(1, 1)]), a: 0.5 * (m[(0, 0)] - m[(1, 1)]), b: m[(0, 1)] };
+        let tensor = form.tensor(&x, &y);
+        tensor.iter().all(|c| c.is_finite()).then_some(tensor)
+    };
+    mesh.points.iter().map(tensor).collect()
 }
 
 #[cfg(test)]

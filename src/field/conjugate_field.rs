@@ -1,5 +1,6 @@
 //! The field that the later stages read: two directions on each triangle, their matching, their singularities.
 
+use super::smooth::DirectionConstraint;
 use super::topology::{EdgeTopology, NO_TRIANGLE};
 use crate::surface::SurfaceMesh;
 use nalgebra::Vector3;
@@ -13,14 +14,18 @@ pub struct ConjugateField {
     pub mesh: SurfaceMesh,
     /// Unit vectors u, v in the plane of each triangle, with (u x v) . normal > 0.
     pub directions: Vec<[Vector3<f64>; 2]>,
+    /// Unit vectors u, v that the map follows, named as `directions` are: conjugate on the mean over a panel, smoother than those.
+    pub layout: Vec<[Vector3<f64>; 2]>,
     /// Edges of the mesh.
     pub edges: EdgeTopology,
     /// For each edge (f, g): k in 0..4 such that direction i of (u, v, -u, -v) of f corresponds to direction (i + k) mod 4 of g.
     ///
-    /// Order-preserving, and of the smallest rotation; 0 on border edges.
+    /// Order-preserving; 0 on border edges.
     pub matching: Vec<u8>,
     /// Inner vertices with an index other than 0, in order of their numbers.
     pub singularities: Vec<Singularity>,
+    /// What the field was asked to follow: unit tangent directions with their weights; the map follows them too.
+    pub lines: Vec<DirectionConstraint>,
     /// How good the field is.
     pub diagnostics: FieldDiagnostics,
 }
@@ -58,13 +63,12 @@ pub struct FieldDiagnostics {
 impl ConjugateField {
     /// Direction `i` mod 4 of (u, v, -u, -v) on a triangle.
     pub fn direction(&self, triangle: u32, i: usize) -> Vector3<f64> {
-        let [u, v] = self.directions[triangle as usize];
-        match i % 4 {
-            0 => u,
-            1 => v,
-            2 => -u,
-            _ => -v,
-        }
+        numbered(self.directions[triangle as usize], i)
+    }
+
+    /// Layout direction `i` mod 4 of (u, v, -u, -v) on a triangle.
+    pub fn layout_direction(&self, triangle: u32, i: usize) -> Vector3<f64> {
+        numbered(self.layout[triangle as usize], i)
     }
 
     /// Matching from `from` to `to` across `edge`: direction i of `from` is direction (i + k) mod 4 of `to`.
@@ -80,5 +84,14 @@ impl ConjugateField {
             assert!((f, g) == (to, from), "edge {edge} is not between triangles {from} and {to}");
             (4 - k) % 4
         }
+    }
+}
+
+fn numbered([u, v]: [Vector3<f64>; 2], i: usize) -> Vector3<f64> {
+    match i % 4 {
+        0 => u,
+        1 => v,
+        2 => -u,
+        _ => -v,
     }
 }

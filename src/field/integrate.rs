@@ -167,6 +167,18 @@ struct Element {
     gradient: [[f64; 2]; 3],
     /// Sine of the crossing angle.
     crossing: f64,
+    /// Lines on the triangle that the map follows.
+    lines: Vec<Line>,
+}
+
+/// A line that one family of isolines follows on a triangle.
+struct Line {
+    /// Number of the combed direction that the line belongs to.
+    family: usize,
+    /// Derivatives of the three hat functions along the line.
+    along: [f64; 3],
+    /// Weight of the squared angle, the field weighing 1.
+    weight: f64,
 }
 
 impl<'a> Integrator<'a> {
@@ -293,7 +305,8 @@ impl<'a> Integrator<'a> {
 
     /// Assembles the energy
     /// sum over triangles and families of A (sin^2(crossing) (grad a . v)^2 / s^2 + w (grad a . u / s - 1)^2)
-    /// as matrix values and gradient. The first term is about the squared angle between isoline and field.
+    /// as matrix values and gradient. The first term is about the squared angle between isoline and field; lines that the field follows add more
+    /// of that along themselves.
     fn assemble(&self, stiffness: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut values = vec![0.0; self.system.slots];
         let mut gradient = vec![0.0; self.system.free + self.system.integers];
@@ -312,6 +325,15 @@ impl<'a> Integrator<'a> {
                         hessian[9 * family + 3 * i + j] = inverse
                             * inverse
                             * (direction_weight * across[i] * across[j] + size_weight * along[i] * along[j]);
+                    }
+                }
+            }
+            for line in &element.lines {
+                let family = 1 - line.family;
+                let scale = weight * line.weight / (self.sizes[t][family] * self.sizes[t][family]);
+                for i in 0..3 {
+                    for j in 0..3 {
+                        hessian[9 * family + 3 * i + j] += scale * line.along[i] * line.along[j];
                     }
                 }
             }
@@ -457,13 +479,13 @@ fn elements(field: &ConjugateField, seams: &Seams) -> Result<Vec<Element>, Error
         let (mut normal, mut area) = mesh.triangle_normal_area(t);
         if area <= 1e-9 * longest {
             // Without area there is no gradient: such a triangle, at a collapsed side, gets next to no say.
-            let [u, v] = field.directions[t];
+            let [u, v] = field.layout[t];
             normal = u.cross(&v).try_normalize(1e-300).unwrap_or_else(Vector3::z);
             area = (1e-9 * longest).max(f64::MIN_POSITIVE);
         }
         total += area;
         let hats = sides.map(|s| normal.cross(&s) / (2.0 * area));
-        let directions = [0, 1].map(|i| field.direction(t as u32, (seams.name[t] + i) as usize));
+        let directions = [0, 1].map(|i| field.layout_direction(t as u32, (seams.name[t] + i) as usize));
         let x = directions[0].normalize();
         let y = normal.cross(&x);
         elements.push(Element {
@@ -471,12 +493,37 @@ fn elements(field: &ConjugateField, seams: &Seams) -> Result<Vec<Element>, Error
             along: directions.map(|d| hats.map(|g| g.dot(&d))),
             gradient: hats.map(|g| [g.dot(&x), g.dot(&y)]),
             crossing: directions[0].cross(&directions[1]).norm().clamp(0.05, 1.0),
+            lines: vec![],
         });
     }
     if !(total > 0.0 && total.is_finite()) {
         return Err(Error::Degenerate { reason: "the surface has no area".into() });
     }
+    add_lines(field, seams, &mut elements);
     Ok(elements)
+}
+
+/// Weight of following a line that the field was asked to follow, the field itself weighing 1.
+const LINE_WEIGHT: f64 = 10.0;
+/// Weight of a constraint that counts half of that; hard ones count in full.
+const HALF_WEIGHT: f64 = 30.0;
+
+/// Gives each element the lines on its triangle.
+fn add_lines(field: &ConjugateField, seams: &Seams, elements: &mut [Element]) {
+    for line in &field.lines {
+        let t = line.triangle as usize;
+        let along = [0, 1].map(|i| field.layout_direction(line.triangle, (seams.name[t] + i) as usize));
+        let family = usize::from(along[1].dot(&line.direction).abs() > along[0].dot(&line.direction).abs());
+        let share = if line.weight.is_finite() { line.weight / (line.weight + HALF_WEIGHT) } else { 1.0 };
+        let [a, b, c] = field.mesh.triangles[t].map(|v| field.mesh.position(v));
+        let normal = field.mesh.triangle_normal_area(t).0;
+        let hats = [c - b, a - c, b - a].map(|s| normal.cross(&s) / (2.0 * elements[t].area));
+        elements[t].lines.push(Line {
+            family,
+            along: hats.map(|g| g.dot(&line.direction)),
+            weight: LINE_WEIGHT * share,
+        });
+    }
 }
 
 /// Which unknowns stand for the coordinates of which vertex.
@@ -685,7 +732,8 @@ fn border_sides(field: &ConjugateField, seams: &Seams) -> [Vec<BorderStep>; 4] {
                 let triangle = field.mesh.triangles[t];
                 let along = field.mesh.position(triangle[(k + 1) % 3]) - field.mesh.position(triangle[k]);
                 let length = along.norm();
-                let cosine = |j: u8| field.direction(t as u32, (seams.name[t] + j) as usize).dot(&along) / length;
+                let cosine =
+                    |j: u8| field.layout_direction(t as u32, (seams.name[t] + j) as usize).dot(&along) / length;
                 let direction = (0..4).max_by(|&a, &b| cosine(a).total_cmp(&cosine(b))).expect("four directions");
                 BorderStep { half_edge: h, direction, angle: cosine(direction).clamp(-1.0, 1.0).acos(), length }
             })
@@ -984,5 +1032,46 @@ impl Reduced {
         }
         solution.extend_from_slice(y);
         solution
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::test_surfaces::graph;
+    use crate::field::{DirectionConstraint, FieldOptions, conjugate_field};
+
+    /// Mean angle between the isolines of b and `direction` on the triangles of `lines`, degrees.
+    fn angle_along(map: &SeamlessMap, lines: &[DirectionConstraint]) -> f64 {
+        let angle = |line: &DirectionConstraint| {
+            let t = line.triangle as usize;
+            let [a, b, c] = map.mesh.triangles[t].map(|v| map.mesh.position(v));
+            let normal = map.mesh.triangle_normal_area(t).0;
+            let hats = [c - b, a - c, b - a].map(|s| normal.cross(&s));
+            let isolines = [0, 1].map(|k| {
+                let gradient: Vector3<f64> = (0..3).map(|i| hats[i] * map.corners[t][i][k] as f64).sum();
+                normal.cross(&gradient.normalize())
+            });
+            let cosine = isolines.iter().map(|d| d.dot(&line.direction).abs()).fold(0.0, f64::max);
+            cosine.min(1.0).acos().to_degrees()
+        };
+        lines.iter().map(angle).sum::<f64>() / lines.len() as f64
+    }
+
+    #[test]
+    fn isolines_follow_lines_more_than_the_field() {
+        let control = Control::default();
+        let mesh = SurfaceMesh::new(&graph(|_, _| 0.0), [20, 20]).unwrap();
+        let along = DirectionConstraint { triangle: 0, direction: Vector3::x(), weight: 100.0 };
+        let mut field = conjugate_field(mesh, None, &[along], &FieldOptions::default(), &control).unwrap();
+        let tilted = Vector3::new(12f64.to_radians().cos(), 12f64.to_radians().sin(), 0.0);
+        let line =
+            |i: usize| DirectionConstraint { triangle: 2 * (20 * i + 10) as u32, direction: tilted, weight: 300.0 };
+        let lines: Vec<DirectionConstraint> = (5..15).map(line).collect();
+        field.lines = vec![];
+        let without = angle_along(&integrate(&field, &MapOptions::default(), &control).unwrap(), &lines);
+        field.lines = lines.clone();
+        let with = angle_along(&integrate(&field, &MapOptions::default(), &control).unwrap(), &lines);
+        assert!((without - 12.0).abs() < 0.5 && with < 4.0, "{without} {with}");
     }
 }

@@ -250,7 +250,7 @@ pub fn constraints_from_parameters(
 }
 
 /// The triangle that holds a point of the parameter domain.
-fn locate(mesh: &SurfaceMesh, point: [f64; 2]) -> Option<u32> {
+pub(super) fn locate(mesh: &SurfaceMesh, point: [f64; 2]) -> Option<u32> {
     let [nu, nv] = mesh.cells;
     // Rows and columns of the grid have common parameters, not equally spaced in general.
     let column = |k: usize| {

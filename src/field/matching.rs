@@ -73,22 +73,36 @@ pub fn matching(f: &Cross, g: &Cross, turn: f64) -> (u8, f64, f64) {
     best
 }
 
-/// Matching of every edge (0 on the border) and the singular vertices.
-///
-/// The index of an inner vertex, in quarter turns, is (sum of the bisectors' rotations around it, counter-clockwise, plus the angle that
-/// the triangles around it lack to a full turn) / (pi/2): an integer, and congruent mod 4 to the sum of the matchings.
+/// Matching of every edge (0 on the border) and the singular vertices, by the smallest rotations; as [`match_edges`].
 pub fn match_field(
     mesh: &SurfaceMesh,
     edges: &EdgeTopology,
     frames: &TriangleFrames,
     crosses: &[Cross],
 ) -> (Vec<u8>, Vec<Singularity>) {
+    match_edges(mesh, edges, |e| {
+        let [f, g] = edges.triangles[e].map(|t| t as usize);
+        let (k, rotation, _) = matching(&crosses[f], &crosses[g], frames.turns[e]);
+        (k, rotation)
+    })
+}
+
+/// Matching of every edge (0 on the border) and the singular vertices.
+///
+/// - `across`: matching and rotation of the bisector across an inner edge, as [`matching`] gives them.
+///
+/// The index of an inner vertex, in quarter turns, is (sum of the bisectors' rotations around it, counter-clockwise, plus the angle that
+/// the triangles around it lack to a full turn) / (pi/2): an integer, and congruent mod 4 to the sum of the matchings.
+pub(super) fn match_edges(
+    mesh: &SurfaceMesh,
+    edges: &EdgeTopology,
+    across: impl Fn(usize) -> (u8, f64),
+) -> (Vec<u8>, Vec<Singularity>) {
     let mut k = vec![0; edges.len()];
     let mut rotation = vec![0.0; edges.len()];
     for e in 0..edges.len() {
         if !edges.is_border(e) {
-            let [f, g] = edges.triangles[e].map(|t| t as usize);
-            (k[e], rotation[e], _) = matching(&crosses[f], &crosses[g], frames.turns[e]);
+            (k[e], rotation[e]) = across(e);
         }
     }
     let mut singularities = vec![];

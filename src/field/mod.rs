@@ -1,6 +1,7 @@
 //! Conjugate direction fields on surfaces.
 
 mod cancel;
+mod coarse;
 mod conjugate;
 mod conjugate_field;
 mod integrate;

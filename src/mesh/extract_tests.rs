@@ -17,9 +17,10 @@ fn field_of(mesh: SurfaceMesh, directions: impl Fn(usize, Point3<f64>) -> [Vecto
         })
         .collect();
     let (matching, singularities) = match_field(&mesh, &edges, &frames, &crosses);
-    let directions =
+    let directions: Vec<[Vector3<f64>; 2]> =
         (0..mesh.triangles.len()).map(|t| [crosses[t].u(), crosses[t].v()].map(|a| frames.direction(t, a))).collect();
-    ConjugateField { mesh, directions, edges, matching, singularities, diagnostics: FieldDiagnostics::default() }
+    let (layout, lines, diagnostics) = (directions.clone(), vec![], FieldDiagnostics::default());
+    ConjugateField { mesh, directions, layout, edges, matching, singularities, lines, diagnostics }
 }
 
 fn square(size: f64) -> NurbsSurface {

@@ -1,5 +1,6 @@
 //! Second call: surface to conjugate direction field.
 
+use super::curves::{FeatureCurve, on_surfaces};
 use super::lift::{Seen, canvas_field};
 use super::placement::Placement;
 use super::report::Report;
@@ -7,7 +8,9 @@ use super::session::{Session, Times, timed};
 use super::surface::{SurfacePatch, SurfaceResult};
 use crate::control::Control;
 use crate::error::Error;
-use crate::field::{CanvasView, ConjugateField, conjugate_field, constraints_from_lines, guess_from_canvas};
+use crate::field::{
+    CanvasView, ConjugateField, conjugate_field, constraints_from_lines, constraints_from_parameters, guess_from_canvas,
+};
 use crate::infer::{Networks, SketchMaps};
 use crate::sketch::{CanonicalFrame, PatchSketch, Sketch, StrokeKind, rasterize, understand};
 use crate::surface::{NurbsSurface, SurfaceMesh};
@@ -18,8 +21,8 @@ use nalgebra::{Point3, Vector3};
 pub struct FieldOptions {
     /// Whether the network's guess steers the field where the sketch has an outline.
     pub use_network: bool,
-    /// Whether one family follows the border.
-    pub align_border: bool,
+    /// Whether one family follows the border along the sides u = min, u = max, v = min, v = max of each patch.
+    pub aligned_sides: [bool; 4],
     /// Cells of the triangulation along the longer side of a patch, 8 to 256; 0: chosen by the library.
     pub resolution: usize,
     /// Smallest crossing angle of the two families, degrees, in (0, 80].
@@ -27,7 +30,7 @@ pub struct FieldOptions {
 }
 
 /// Cells along the longer side of a patch unless the host says otherwise.
-const DEFAULT_RESOLUTION: usize = 48;
+const DEFAULT_RESOLUTION: usize = 40;
 /// Weight of a feature line that crosses a whole triangle. In the solver's unit an edge weighs about 1, so the field
 /// follows the line and yields where two lines contradict each other.
 const LINE_WEIGHT: f64 = 300.0;
@@ -36,7 +39,8 @@ const RESOLUTIONS: std::ops::RangeInclusive<usize> = 8..=256;
 
 impl FieldOptions {
     /// The defaults.
-    pub const DEFAULT: Self = Self { use_network: true, align_border: false, resolution: 0, crossing_floor_deg: 20.0 };
+    pub const DEFAULT: Self =
+        Self { use_network: true, aligned_sides: [false; 4], resolution: 0, crossing_floor_deg: 20.0 };
 
     fn check(&self) -> Result<(), Error> {
         if self.resolution != 0 && !RESOLUTIONS.contains(&self.resolution) {
@@ -44,6 +48,15 @@ impl FieldOptions {
             return Err(Error::Argument { name: "resolution", value, expected: "0, or a number from 8 to 256" });
         }
         Ok(())
+    }
+
+    /// What the solver is told.
+    fn solver(&self) -> crate::field::FieldOptions {
+        crate::field::FieldOptions {
+            crossing_floor_deg: self.crossing_floor_deg,
+            aligned_sides: self.aligned_sides,
+            ..crate::field::FieldOptions::default()
+        }
     }
 }
 
@@ -151,6 +164,72 @@ pub fn sketch_to_cdf(
     session.run(|networks, control| run(networks, sketch, surface, options, control))
 }
 
+/// Finds a conjugate direction field on each patch of a surface, aligned with curves in space.
+///
+/// - `surface`: any NURBS surfaces, e.g. from [`SurfaceResult::from_nurbs`].
+/// - `curves`: each of them is followed by one family, hard or soft. Without any, and without aligned sides, the field is the smoothest one near
+///   the principal directions where these are distinct.
+///
+/// No network runs, whatever the options say.
+///
+/// # Errors
+/// [`Error::Argument`] for options out of range, a curve of less than two points, with a coordinate that is not finite, or farther from the
+/// surface than a tenth of its size; as [`conjugate_field`]; [`Error::Cancelled`].
+///
+/// # Source
+/// The last stage of Sketch2PQ, Sec. 3.2.4, for surfaces that were not sketched; the paper has no such entry.
+pub fn surface_to_cdf(
+    session: &mut Session,
+    surface: &SurfaceResult,
+    curves: &[FeatureCurve],
+    options: &FieldOptions,
+) -> Result<FieldResult, Error> {
+    options.check()?;
+    session.run(|_, control| {
+        let mut times = surface.report.time_ms;
+        control.step("field", 0.0)?;
+        let working = |patch: &SurfacePatch| (patch.surface.mapped(|p| patch.placement.from_world(p)), patch.placement);
+        let surfaces: Vec<(NurbsSurface, Placement)> = surface.patches.iter().map(working).collect();
+        let pieces = timed(&mut times.field, || on_surfaces(&surfaces, curves))?;
+        let mut patches = Vec::with_capacity(surfaces.len());
+        for ((surface, placement), pieces) in surfaces.into_iter().zip(pieces) {
+            let cells = cells(&surface, options.resolution);
+            let field = timed(&mut times.field, || {
+                let mesh = SurfaceMesh::new(&surface, cells)?;
+                let mut constraints = vec![];
+                for piece in &pieces {
+                    let weight = if piece.hard { f64::INFINITY } else { LINE_WEIGHT };
+                    let curve = std::slice::from_ref(&piece.parameters);
+                    constraints.extend(constraints_from_parameters(&mesh, curve, weight)?);
+                }
+                conjugate_field(mesh, None, &constraints, &options.solver(), control)
+            })?;
+            let feature_lines = pieces.into_iter().map(|piece| piece.positions).collect();
+            patches.push(FieldPatch { field, surface, placement, feature_lines });
+        }
+        control.step("field", 1.0)?;
+        Ok(reported(patches, surface, surface.report.backend.clone(), times))
+    })
+}
+
+/// Adds measures to the fields of all patches.
+fn reported(patches: Vec<FieldPatch>, surface: &SurfaceResult, backend: Option<String>, times: Times) -> FieldResult {
+    let mut result = FieldResult { patches, report: Report::new() };
+    let all = result.measures();
+    let has_lines = result.patches.iter().any(|p| !p.feature_lines.is_empty());
+    result.report = Report {
+        backend,
+        conjugacy_mean: Some(all.conjugacy_mean),
+        crossing_min_deg: Some(all.crossing_min_deg),
+        e_smooth: Some(all.smoothness_energy),
+        field_d_f_deg: has_lines.then_some(all.feature_angle_deg),
+        singularities: Some(result.patches.iter().map(|p| p.field.singularities.len()).sum()),
+        time_ms: times,
+        ..surface.report.clone()
+    };
+    result
+}
+
 fn run(
     networks: &mut Networks,
     sketch: Option<&Sketch>,
@@ -177,25 +256,9 @@ fn run(
         patches.push(patch_field(networks, sketch, outline, patch, options, control, &mut times)?);
     }
     control.step("field", 1.0)?;
-    let mut result = FieldResult { patches, report: Report::new() };
-    let all = result.measures();
-    let has_lines = result.patches.iter().any(|p| !p.feature_lines.is_empty());
-    let backend = networks.backend().to_string();
-    result.report = Report {
-        backend: surface
-            .report
-            .backend
-            .clone()
-            .or_else(|| (options.use_network && !drawn.is_empty()).then_some(backend)),
-        conjugacy_mean: Some(all.conjugacy_mean),
-        crossing_min_deg: Some(all.crossing_min_deg),
-        e_smooth: Some(all.smoothness_energy),
-        field_d_f_deg: has_lines.then_some(all.feature_angle_deg),
-        singularities: Some(result.patches.iter().map(|p| p.field.singularities.len()).sum()),
-        time_ms: times,
-        ..surface.report.clone()
-    };
-    Ok(result)
+    let ran = (options.use_network && !drawn.is_empty()).then(|| networks.backend().to_string());
+    let backend = surface.report.backend.clone().or(ran);
+    Ok(reported(patches, surface, backend, times))
 }
 
 /// Box around canvas-plane points: lowest and highest x, y.
@@ -277,13 +340,9 @@ fn patch_field(
     };
     let feature_lines = timed(&mut times.field, || seen.map_or(vec![], |seen| seen.lifted_lines(&lines)));
     let constraints = timed(&mut times.field, || constraints_from_lines(&mesh, &view, &lines, LINE_WEIGHT))?;
-    let solver = crate::field::FieldOptions {
-        crossing_floor_deg: options.crossing_floor_deg,
-        aligned_sides: [options.align_border; 4],
-        ..crate::field::FieldOptions::default()
-    };
-    let field =
-        timed(&mut times.field, || conjugate_field(mesh.clone(), guess.as_deref(), &constraints, &solver, control))?;
+    let field = timed(&mut times.field, || {
+        conjugate_field(mesh.clone(), guess.as_deref(), &constraints, &options.solver(), control)
+    })?;
     Ok(FieldPatch { field, surface, placement, feature_lines })
 }
 

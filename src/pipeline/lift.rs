@@ -59,7 +59,7 @@ impl<'a> Seen<'a> {
         let mut lifted = vec![];
         for line in lines {
             let mut current: Vec<Point3<f64>> = vec![];
-            for [x, y] in resampled(line) {
+            for [x, y] in resampled(line, LINE_STEP) {
                 let point = self.caster.hits(x, y).first().map(|hit| Point3::new(x, y, -hit.depth));
                 let joined = matches!((current.last(), point), (Some(a), Some(b)) if (b - a).norm() < LINE_JUMP);
                 if !joined {
@@ -92,13 +92,14 @@ pub(super) fn canvas_field(predicted: &DirectionPrediction, raster: &Raster) -> 
     CanvasField::new(CANVAS_HALF_WIDTH, &channels, [&visible, &occluded])
 }
 
-/// The polyline with points every [`LINE_STEP`] at most.
-fn resampled(line: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// The polyline with points every `step` at most, 4000 on one segment at most.
+pub(super) fn resampled<const N: usize>(line: &[[f64; N]], step: f64) -> Vec<[f64; N]> {
     let mut points = vec![];
     for ends in line.windows(2) {
         let [a, b] = [ends[0], ends[1]];
-        let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / LINE_STEP).ceil().clamp(1.0, 4000.0) as usize;
-        points.extend((0..steps).map(|i| [0, 1].map(|k| a[k] + (b[k] - a[k]) * i as f64 / steps as f64)));
+        let length = (0..N).map(|k| (b[k] - a[k]).powi(2)).sum::<f64>().sqrt();
+        let steps = (length / step).ceil().clamp(1.0, 4000.0) as usize;
+        points.extend((0..steps).map(|i| std::array::from_fn(|k| a[k] + (b[k] - a[k]) * i as f64 / steps as f64)));
     }
     points.extend(line.last());
     points

@@ -4,6 +4,7 @@
 //! a frame in which the patch has one size (see [`Placement`]), so moving or scaling the strokes moves or scales the
 //! results.
 
+mod curves;
 mod field;
 mod lift;
 mod mesh;
@@ -12,7 +13,8 @@ mod report;
 mod session;
 mod surface;
 
-pub use field::{FieldMeasures, FieldOptions, FieldPatch, FieldResult, sketch_to_cdf};
+pub use curves::FeatureCurve;
+pub use field::{FieldMeasures, FieldOptions, FieldPatch, FieldResult, sketch_to_cdf, surface_to_cdf};
 pub use mesh::{MAX_FACES, MeshMeasures, MeshOptions, MeshPatch, MeshResult, extract_pq_mesh};
 pub use placement::Placement;
 pub use report::Report;

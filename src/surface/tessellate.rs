@@ -52,17 +52,26 @@ impl SurfaceMesh {
                 normals.push(forms.normal);
             }
         }
-        let mut triangles = Vec::with_capacity(2 * nu * nv);
-        for i in 0..nu {
-            for j in 0..nv {
-                let corner = |a: usize, b: usize| (i + a) * (nv + 1) + j + b;
-                let length = |a: usize, b: usize| (points[a].position - points[b].position).norm();
-                let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
-                let pair = if length(a, c) <= length(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
-                triangles.extend(pair.map(|t| t.map(|k| k as u32)));
-            }
-        }
+        let triangles = triangulated([nu, nv], &points);
         Ok(Self { cells: [nu, nv], parameters, points, normals, triangles })
+    }
+
+    /// The mesh of every second grid line, rounded up; its border is sampled at the same ends.
+    pub fn thinned(&self) -> Self {
+        let cells = self.cells.map(|n| n.div_ceil(2));
+        let line = |k: usize, i: usize| i * self.cells[k] / cells[k];
+        let kept: Vec<usize> = (0..=cells[0])
+            .flat_map(|i| (0..=cells[1]).map(move |j| (i, j)))
+            .map(|(i, j)| line(0, i) * (self.cells[1] + 1) + line(1, j))
+            .collect();
+        let points: Vec<SurfacePoint> = kept.iter().map(|&v| self.points[v]).collect();
+        Self {
+            cells,
+            parameters: kept.iter().map(|&v| self.parameters[v]).collect(),
+            normals: kept.iter().map(|&v| self.normals[v]).collect(),
+            triangles: triangulated(cells, &points),
+            points,
+        }
     }
 
     /// Position of vertex `index`.
@@ -77,4 +86,19 @@ impl SurfaceMesh {
         let norm = cross.norm();
         (cross / norm.max(f64::MIN_POSITIVE), 0.5 * norm)
     }
+}
+
+/// Two triangles for each cell of a grid of points, cut along the shorter diagonal.
+fn triangulated([nu, nv]: [usize; 2], points: &[SurfacePoint]) -> Vec<[u32; 3]> {
+    let mut triangles = Vec::with_capacity(2 * nu * nv);
+    for i in 0..nu {
+        for j in 0..nv {
+            let corner = |a: usize, b: usize| (i + a) * (nv + 1) + j + b;
+            let length = |a: usize, b: usize| (points[a].position - points[b].position).norm();
+            let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
+            let pair = if length(a, c) <= length(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
+            triangles.extend(pair.map(|t| t.map(|k| k as u32)));
+        }
+    }
+    triangles
 }

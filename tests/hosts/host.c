@@ -51,6 +51,11 @@ OFFSET(S2pqSurfaceDiagnostics, misfacing, 32);
 LAYOUT(S2pqFieldOptions, 24);
 OFFSET(S2pqFieldOptions, use_network, 4);
 OFFSET(S2pqFieldOptions, crossing_floor_deg, 16);
+LAYOUT(S2pqCurves, 40);
+OFFSET(S2pqCurves, curve_count, 8);
+OFFSET(S2pqCurves, starts, 16);
+OFFSET(S2pqCurves, points, 24);
+OFFSET(S2pqCurves, hard, 32);
 LAYOUT(S2pqFieldDiagnostics, 40);
 OFFSET(S2pqFieldDiagnostics, singularities, 4);
 OFFSET(S2pqFieldDiagnostics, feature_angle_deg, 32);
@@ -293,6 +298,53 @@ static void progress_and_cancel(S2pqSession *session, const S2pqSketch *sketch) 
   s2pq_surface_free(surface);
 }
 
+/* A helix and a ruling on the quarter cylinder: the field follows them, and broken curves are refused. */
+static void feature_curves(S2pqSession *session, S2pqSurface *surface) {
+  double points[3 * 12];
+  const uint32_t starts[] = {0, 10, 12};
+  const uint8_t hard[] = {1, 0};
+  S2pqCurves curves = {.struct_size = sizeof curves, .curve_count = 2, .starts = starts, .points = points, .hard = hard};
+  S2pqFieldOptions options;
+  S2pqFieldDiagnostics diagnostics = {.struct_size = sizeof diagnostics};
+  S2pqField *field = NULL;
+  const uint32_t *triangles;
+  size_t count = 9;
+  int i;
+  for (i = 0; i < 10; i++) {
+    points[3 * i] = cos(0.15 * i + 0.1);
+    points[3 * i + 1] = sin(0.15 * i + 0.1);
+    points[3 * i + 2] = 0.3 + 0.1 * i;
+  }
+  for (i = 10; i < 12; i++) {
+    points[3 * i] = cos(0.4);
+    points[3 * i + 1] = sin(0.4);
+    points[3 * i + 2] = i - 10 ? 1.9 : 1.0;
+  }
+  CHECK(s2pq_field_options_init(&options, sizeof options) == S2PQ_STATUS_OK);
+  CHECK(surface_to_cdf(session, surface, &curves, &options, &field) == S2PQ_STATUS_OK);
+  CHECK(s2pq_field_diagnostics(field, &diagnostics) == S2PQ_STATUS_OK && diagnostics.feature_angle_deg < 1);
+  CHECK(s2pq_field_floor_triangles(field, &triangles, &count) == S2PQ_STATUS_OK && count == 0);
+  s2pq_field_free(field);
+  field = NULL;
+  options.align_border = 2 + 16;
+  CHECK(surface_to_cdf(session, surface, NULL, &options, &field) == S2PQ_STATUS_OK);
+  s2pq_field_free(field);
+  field = NULL;
+  options.align_border = 3;
+  CHECK(surface_to_cdf(session, surface, NULL, &options, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  points[4] = NAN;
+  CHECK(surface_to_cdf(session, surface, &curves, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  points[4] = 1e6;
+  CHECK(surface_to_cdf(session, surface, &curves, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  curves.points = NULL;
+  CHECK(surface_to_cdf(session, surface, &curves, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  curves.curve_count = UINT64_MAX;
+  CHECK(surface_to_cdf(session, surface, &curves, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  curves.struct_size = 0;
+  CHECK(surface_to_cdf(session, surface, &curves, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(surface_to_cdf(session, NULL, NULL, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT && field == NULL);
+}
+
 /* A host's own surface: a rational quarter of a cylinder, in both conventions of knots. */
 static void own_surface(S2pqSession *session) {
   const double h = 0.70710678118654752;
@@ -326,6 +378,10 @@ static void own_surface(S2pqSession *session) {
   for (i = 0; i < 4; i++) CHECK(fabs(hypot(xyz[3 * i], xyz[3 * i + 1]) - 1) < 1e-12);
   CHECK(s2pq_surface_evaluate(surface, 0, uv, 4, NULL, NULL) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(sketch_to_cdf(session, NULL, surface, NULL, &field) == S2PQ_STATUS_OK);
+  s2pq_field_free(field);
+  field = NULL;
+  feature_curves(session, surface);
+  CHECK(surface_to_cdf(session, surface, NULL, NULL, &field) == S2PQ_STATUS_OK);
   s2pq_surface_free(surface);
   CHECK(extract_pq_mesh(session, field, NULL, &mesh) == S2PQ_STATUS_OK);
   s2pq_field_free(field);

@@ -45,7 +45,7 @@ def mirrors_the_header():
     """Every function of the header is declared, with as many arguments."""
     header = (ROOT / "include" / "sketch2pq.h").read_text()
     header = re.sub(r"//[^\n]*", "", header)
-    pattern = r"\b(s2pq_[a-z0-9_]+|sketch_to_surface|sketch_to_cdf|extract_pq_mesh)\(([^)]*)\)"
+    pattern = r"\b(s2pq_[a-z0-9_]+|sketch_to_surface|sketch_to_cdf|surface_to_cdf|extract_pq_mesh)\(([^)]*)\)"
     declared = {name: 0 if a.strip() == "void" else a.count(",") + 1 for name, a in re.findall(pattern, header)}
     mirrored = {name: len(arguments) for name, (_, arguments) in native.SIGNATURES.items()}
     assert declared == mirrored, {k for k in declared.keys() ^ mirrored.keys()} or (declared, mirrored)
@@ -131,6 +131,22 @@ def own_surface(session):
         assert len(surface.patches[0].knots[0]) == 6
     mesh = session.mesh(session.field(surface), faces=100)
     assert abs(np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]) - 1).max() < 0.05
+    # A ruling and an arc of the cylinder, as curves in space: one family follows each, and no sketch is needed.
+    height = np.abs(net[..., 2]).max()
+    arc = [(np.cos(a), np.sin(a), 0.4 * height) for a in np.linspace(0.1, 1.4, 20)]
+    ruling = [(np.cos(0.7), np.sin(0.7), z * height) for z in (0.1, 0.9)]
+    for hard in (False, True, [True, False]):
+        field = session.field(surface, curves=[arc, ruling], hard=hard, align_border=["u_min", "v_max"])
+        assert field.diagnostics["feature_angle_deg"] < 1 and len(field.floor_triangles) == 0
+        assert len(field.singularities[0]) == 0
+    curved = session.mesh(field, faces=100)
+    assert curved.measures["planarity_max"] < 1e-6
+    raises(s.ArgumentError, session.field, surface, curves=[[(1, 0, 0)]])
+    raises(s.ArgumentError, session.field, surface, curves=[[(1, 0, 0), (1, 0, np.nan)]])
+    raises(s.ArgumentError, session.field, surface, curves=[[(50, 0, 0), (60, 0, 0)]])
+    raises(s.ArgumentError, session.field, surface, curves=[[(1, 0)] * 3])
+    raises(s.ArgumentError, session.field, surface, align_border=["left"])
+    raises(s.ArgumentError, session.field, surface, drawn(SQUARE), curves=[arc])
     raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1], [0, 1]), net)
     raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net * np.nan)
     raises(s.ArgumentError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net[0])

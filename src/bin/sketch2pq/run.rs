@@ -79,7 +79,7 @@ impl Run {
         session.set_progress(Some(Box::new(move |stage, fraction| advance(&watched, stage, fraction))));
 
         let field_options =
-            FieldOptions { align_border: matches!(self.border, Border::Aligned), ..FieldOptions::default() };
+            FieldOptions { aligned_sides: [matches!(self.border, Border::Aligned); 4], ..FieldOptions::default() };
         let mesh_options = MeshOptions {
             border: self.border.into(),
             faces: self.faces.unwrap_or(MeshOptions::DEFAULT.faces),
