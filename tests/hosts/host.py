@@ -139,8 +139,8 @@ def own_surface(session):
 def own_panels(session):
     """A host's own quads on a sphere, that are not planar."""
     t = np.linspace(-0.6, 0.6, 9)
-    x, y = np.meshgrid(np.tan(t), np.tan(t) + 0.2 * t[:, None], indexing="ij")
-    points = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    x, y = np.meshgrid(np.tan(t), np.tan(t), indexing="ij")
+    points = np.stack([x, y + 0.2 * t[:, None], np.ones_like(x)], axis=-1).reshape(-1, 3)
     points *= 5 / np.linalg.norm(points, axis=1, keepdims=True)
     faces = [[9 * i + j, 9 * i + j + 9, 9 * i + j + 10, 9 * i + j + 1] for i in range(8) for j in range(8)]
     assert session.planarize(points, faces, deviation=1e-9).measures["planarity_max"] > 1e-3
