@@ -256,8 +256,11 @@ const PENALTY: f64 = 1e6;
 /// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
 const UPDATES: usize = 3;
 
-/// Longest step of a vertex in one round, in mean edge lengths.
+/// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
 const LONGEST_STEP: f64 = 0.3;
+
+/// How much less a step counts that a vertex makes together with its neighbours.
+const JOINT_STEP: f64 = 0.15;
 
 /// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
 const STEP_TOLERANCE: f64 = 2e-3;
@@ -743,7 +746,10 @@ impl<'a> State<'a> {
         if !longest.is_finite() {
             return Err(Error::Degenerate { reason: "a planarization step is not finite".into() });
         }
-        let scale = self.edge * (LONGEST_STEP / longest).min(1.0);
+        // Neighbours that move together keep their panels' shapes, and may move farther.
+        let at = |v: u32| Vector3::from_row_slice(&step[3 * v as usize..3 * v as usize + 3]);
+        let strain = self.edges.iter().map(|&[a, b]| (at(a) - at(b)).norm()).fold(0.0, f64::max);
+        let scale = self.edge * (LONGEST_STEP / longest.min(strain.max(longest * JOINT_STEP))).min(1.0);
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
