@@ -156,12 +156,54 @@ typedef uint32_t S2pqBorder;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
+// What vertices on the border of a mesh may do while its faces become planar; passed as uint32_t.
+enum S2pqHold
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  // Move along the border of the surface, or of the mesh as it is given.
+  S2PQ_HOLD_SLIDE = 0,
+  // Not move at all.
+  S2PQ_HOLD_PINNED = 1,
+  // Move like any other vertex.
+  S2PQ_HOLD_FREE = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum S2pqHold S2pqHold;
+#else
+typedef uint32_t S2pqHold;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// Offsets that a mesh should have, as far as planarity and closeness allow; passed as uint32_t.
+enum S2pqOffsets
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  // Any.
+  S2PQ_OFFSETS_ANY = 0,
+  // Each quad has a circumscribed circle: offsets at constant distance between vertices.
+  S2PQ_OFFSETS_CIRCULAR = 1,
+  // The panels around each vertex touch a cone: offsets at constant distance between panels.
+  S2PQ_OFFSETS_CONICAL = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum S2pqOffsets S2pqOffsets;
+#else
+typedef uint32_t S2pqOffsets;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
 // A conjugate pair of directions on every triangle of a surface. Made by sketch_to_cdf or surface_to_cdf; independent of the surface's
 // handle.
 typedef struct S2pqField S2pqField;
 
-// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's
-// handle.
+// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh or s2pq_planarize; independent
+// of the handles that it was made from.
 typedef struct S2pqMesh S2pqMesh;
 
 // Loaded networks, threads, progress and cancel. Cheap to keep; made by s2pq_session_new.
@@ -331,6 +373,10 @@ typedef struct S2pqMeshOptions {
   double edge_length;
   // Wanted planarity of the worst face: distance of the diagonals over the mean edge length. Default 1e-6.
   double planarity;
+  // An S2pqOffsets. Default: S2PQ_OFFSETS_ANY.
+  uint32_t offsets;
+  // An S2pqHold. Default: S2PQ_HOLD_SLIDE.
+  uint32_t hold;
 } S2pqMeshOptions;
 
 // Measures of a mesh, over all its patches. Set struct_size before the call.
@@ -354,11 +400,55 @@ typedef struct S2pqMeshReport {
   // Mean edge length, canvas unit.
   double edge_length_mean;
   // Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border,
-  // in [0, 1].
+  // in [0, 1]; 0 without a surface.
   double border_covered;
   // Milliseconds of all stages together, from the sketch on.
   double time_ms;
 } S2pqMeshReport;
+
+// Options of s2pq_planarize. Fill them by s2pq_planarize_options_init, then change what you need.
+typedef struct S2pqPlanarizeOptions {
+  // sizeof(S2pqPlanarizeOptions)
+  uint32_t struct_size;
+  // An S2pqOffsets. Default: S2PQ_OFFSETS_ANY.
+  uint32_t offsets;
+  // An S2pqHold. Default: S2PQ_HOLD_SLIDE.
+  uint32_t hold;
+  // 1: a mesh whose planarity misses the target is S2PQ_STATUS_NOT_REACHED; 0, the default: it is given with its
+  // measures.
+  uint32_t strict;
+  // Wanted planarity of the worst face: distance of the diagonals over the mean edge length. Default 1e-6.
+  double planarity;
+  // Distance to the surface that no vertex should exceed, the mesh's unit; 0, the default: 2 % of the mesh's width or
+  // a fifth of its mean edge length, whichever is smaller.
+  double deviation;
+  // Weight of the squared distance to the surface, in mean edge lengths. Default 1.
+  double closeness;
+  // Weight of the change of the second differences along the polylines. Default 0.5.
+  double fairness;
+} S2pqPlanarizeOptions;
+
+// A host's own polygon mesh, lent for a call. Set struct_size first.
+typedef struct S2pqPolygons {
+  // sizeof(S2pqPolygons)
+  uint32_t struct_size;
+  // Zero.
+  uint32_t reserved;
+  // Number of vertices.
+  uint64_t vertex_count;
+  // Number of faces.
+  uint64_t face_count;
+  // Number of vertices that do not move at all.
+  uint64_t pin_count;
+  // vertex_count times x, y, z; world frame, any unit.
+  const double *vertices;
+  // face_count + 1 entries: face f has the vertices indices[starts[f]] to indices[starts[f + 1] - 1].
+  const uint32_t *starts;
+  // starts[face_count] entries.
+  const uint32_t *indices;
+  // pin_count vertices, in any order; NULL if there is none.
+  const uint32_t *pins;
+} S2pqPolygons;
 
 #ifdef __cplusplus
 extern "C" {
@@ -831,6 +921,30 @@ S2pqStatus s2pq_mesh_report_json(const struct S2pqMesh *mesh, const char **json,
 // Must be valid:
 // No call uses the mesh or a view of it.
 void s2pq_mesh_free(struct S2pqMesh *mesh);
+
+// Gives every option its default.
+//
+// - `size`: sizeof(S2pqPlanarizeOptions) as the host compiled it.
+//
+// Must be valid:
+// `options` is valid for writing `size` bytes.
+S2pqStatus s2pq_planarize_options_init(struct S2pqPlanarizeOptions *options, size_t size);
+
+// Moves the vertices of a host's own mesh until every face is planar; faces and numbering stay.
+//
+// - `polygons`: quads or any polygons, of three and more corners.
+// - `surface`: a surface of one patch to stay on; NULL: the mesh stays close to itself as it is given.
+// - `options`: NULL for the defaults.
+// - `mesh`: takes the new mesh: one patch.
+//
+// Must be valid:
+// `polygons` is valid as its fields say; `options` is NULL or valid as its `struct_size` says; `mesh` is valid for
+// writing.
+S2pqStatus s2pq_planarize(struct S2pqSession *session,
+                          const struct S2pqPolygons *polygons,
+                          const struct S2pqSurface *surface,
+                          const struct S2pqPlanarizeOptions *options,
+                          struct S2pqMesh **mesh);
 
 #ifdef __cplusplus
 }  // extern "C"

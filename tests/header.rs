@@ -69,13 +69,15 @@ fn generated() -> String {
         usize_is_size_t: true,
         enumeration: EnumConfig { rename_variants: RenameRule::QualifiedScreamingSnakeCase, ..EnumConfig::default() },
         export: cbindgen::ExportConfig {
-            include: ["S2pqStrokeKind", "S2pqLayer", "S2pqBackend", "S2pqBorder"].map(String::from).into(),
+            include: ["S2pqStrokeKind", "S2pqLayer", "S2pqBackend", "S2pqBorder", "S2pqHold", "S2pqOffsets"]
+                .map(String::from)
+                .into(),
             ..cbindgen::ExportConfig::default()
         },
         ..Config::default()
     };
     let mut builder = Builder::new().with_config(config);
-    for file in ["status", "library", "session", "sketch", "surface", "field", "mesh"] {
+    for file in ["status", "library", "session", "sketch", "surface", "field", "mesh", "planarize"] {
         builder = builder.with_src(root().join(format!("src/ffi/{file}.rs")));
     }
     let mut bytes = vec![];

@@ -177,7 +177,7 @@ fn a_hosts_surface_enters_at_the_field_in_any_unit() {
             }
             let outline = border_vertices(&patch.mesh);
             assert!(patch.on_border.iter().enumerate().all(|(v, b)| outline.contains(&(v as u32)) == *b));
-            let covered = mesh.measures().border_covered;
+            let covered = mesh.measures().border_covered.unwrap();
             assert!(border == BorderMode::Interior || covered > 0.98, "{radius} {border:?} {covered}");
         }
         let length = MeshOptions { edge_length: radius * 0.2, ..MeshOptions::default() };

@@ -12,6 +12,8 @@ VISIBLE_BOUNDARY, OCCLUDED_BOUNDARY, CONTOUR, FEATURE = range(4)
 VISIBLE, OCCLUDED = range(2)
 BACKEND_AUTO, BACKEND_ORT, BACKEND_EMBEDDED = range(3)
 BORDER_TRIMMED, BORDER_ALIGNED, BORDER_INTERIOR = range(3)
+HOLD_SLIDE, HOLD_PINNED, HOLD_FREE = range(3)
+OFFSETS_ANY, OFFSETS_CIRCULAR, OFFSETS_CONICAL = range(3)
 
 _u32, _u64, _f64, _size, _text, _handle = c.c_uint32, c.c_uint64, c.c_double, c.c_size_t, c.c_char_p, c.c_void_p
 _f64s, _u32s, _i32s, _u8s = c.POINTER(c.c_double), c.POINTER(c.c_uint32), c.POINTER(c.c_int32), c.POINTER(c.c_uint8)
@@ -116,6 +118,39 @@ class MeshOptions(c.Structure):
         ("strict", _u32),
         ("edge_length", _f64),
         ("planarity", _f64),
+        ("offsets", _u32),
+        ("hold", _u32),
+    ]
+
+
+class Polygons(c.Structure):
+    """S2pqPolygons"""
+
+    _fields_ = [
+        ("struct_size", _u32),
+        ("reserved", _u32),
+        ("vertex_count", _u64),
+        ("face_count", _u64),
+        ("pin_count", _u64),
+        ("vertices", _f64s),
+        ("starts", _u32s),
+        ("indices", _u32s),
+        ("pins", _u32s),
+    ]
+
+
+class PlanarizeOptions(c.Structure):
+    """S2pqPlanarizeOptions"""
+
+    _fields_ = [
+        ("struct_size", _u32),
+        ("offsets", _u32),
+        ("hold", _u32),
+        ("strict", _u32),
+        ("planarity", _f64),
+        ("deviation", _f64),
+        ("closeness", _f64),
+        ("fairness", _f64),
     ]
 
 
@@ -146,7 +181,9 @@ LAYOUT = {
     FieldOptions: (24, [0, 4, 8, 12, 16]),
     Curves: (40, [0, 4, 8, 16, 24, 32]),
     FieldDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
-    MeshOptions: (32, [0, 4, 8, 12, 16, 24]),
+    MeshOptions: (40, [0, 4, 8, 12, 16, 24, 32, 36]),
+    Polygons: (64, [0, 4, 8, 16, 24, 32, 40, 48, 56]),
+    PlanarizeOptions: (48, [0, 4, 8, 12, 16, 24, 32, 40]),
     MeshReport: (72, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64]),
 }
 
@@ -202,6 +239,8 @@ SIGNATURES = {
     "s2pq_field_free": (None, [_handle]),
     "s2pq_mesh_options_init": (_u32, [_out(MeshOptions), _size]),
     "extract_pq_mesh": (_u32, [_handle, _handle, _out(MeshOptions), _out(_handle)]),
+    "s2pq_planarize_options_init": (_u32, [_out(PlanarizeOptions), _size]),
+    "s2pq_planarize": (_u32, [_handle, _out(Polygons), _handle, _out(PlanarizeOptions), _out(_handle)]),
     "s2pq_mesh_patches": (_u32, [_handle, _out(_u32s), _out(_u32s), _out(_size)]),
     "s2pq_mesh_vertices": (_u32, [_handle, _out(_f64s), _out(_size)]),
     "s2pq_mesh_faces": (_u32, [_handle, _out(_u32s), _out(_u32s), _out(_size)]),

@@ -32,6 +32,8 @@ LAYERS = {"visible": 0, "occluded": 1}
 BACKENDS = {"auto": 0, "ort": 1, "embedded": 2}
 SIDES = {"u_min": 2, "u_max": 4, "v_min": 8, "v_max": 16}
 BORDERS = {"trimmed": 0, "aligned": 1, "interior": 2}
+HOLDS = {"slide": 0, "pinned": 1, "free": 2}
+OFFSETS = {"any": 0, "circular": 1, "conical": 2}
 
 
 class Error(Exception):
@@ -121,6 +123,15 @@ def _doubles(values, columns, what):
     except (TypeError, ValueError):
         raise ArgumentError(native.INVALID_ARGUMENT, f"{what}: expected rows of {columns} numbers") from None
     return array, array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+def _indices(values, what):
+    array = np.asarray(values)
+    if array.size == 0:
+        return np.empty(0, np.uint32)
+    if array.ndim != 1 or array.dtype.kind not in "iu" or array.min() < 0 or array.max() >= 2**32:
+        raise ArgumentError(native.INVALID_ARGUMENT, f"{what}: expected rows of vertex numbers")
+    return np.ascontiguousarray(array, dtype=np.uint32)
 
 
 class _Handle:
@@ -398,7 +409,7 @@ class Field(_Handle):
 
 
 class Mesh(_Handle):
-    """Planar panels; made by Session.mesh."""
+    """Planar panels; made by Session.mesh or Session.planarize."""
 
     _free = "s2pq_mesh_free"
 
@@ -574,8 +585,18 @@ class Session(_Handle):
         pointers = (surface._pointer, ctypes.byref(given), ctypes.byref(options))
         return self._call(Field, "surface_to_cdf", *pointers)
 
-    def mesh(self, field, faces=None, edge_length=None, border="trimmed", planarity=None, strict=None):
-        """Field to panels; `border` is a key of BORDERS."""
+    def mesh(
+        self,
+        field,
+        faces=None,
+        edge_length=None,
+        border="trimmed",
+        planarity=None,
+        strict=None,
+        offsets="any",
+        hold="slide",
+    ):
+        """Field to panels; `border` is a key of BORDERS, `offsets` of OFFSETS, `hold` of HOLDS."""
         options = _options(
             native.MeshOptions,
             "s2pq_mesh_options_init",
@@ -584,5 +605,55 @@ class Session(_Handle):
             edge_length=edge_length,
             planarity=planarity,
             strict=None if strict is None else int(bool(strict)),
+            offsets=_number(OFFSETS, offsets, "offsets"),
+            hold=_number(HOLDS, hold, "hold"),
         )
         return self._call(Mesh, "extract_pq_mesh", field._pointer, ctypes.byref(options))
+
+    def planarize(
+        self,
+        vertices,
+        faces,
+        surface=None,
+        pins=(),
+        planarity=None,
+        deviation=None,
+        closeness=None,
+        fairness=None,
+        strict=None,
+        offsets="any",
+        hold="slide",
+    ):
+        """Your own polygons to planar ones: `faces` is a list of lists of vertices, `pins` are vertices that do not move.
+
+        They stay on `surface`, which has one patch, or without one on themselves. `offsets` is a key of OFFSETS, `hold` of HOLDS.
+        """
+        array, pointer = _doubles(vertices, 3, "vertices")
+        lists = [_indices(face, "faces") for face in faces]
+        starts = _indices(np.cumsum([0] + [len(face) for face in lists]), "faces")
+        indices = np.concatenate([np.empty(0, np.uint32), *lists])
+        pins = _indices(pins, "pins")
+        u32s = ctypes.POINTER(ctypes.c_uint32)
+        polygons = native.Polygons(
+            struct_size=ctypes.sizeof(native.Polygons),
+            vertex_count=len(array),
+            face_count=len(lists),
+            pin_count=len(pins),
+            vertices=pointer,
+            starts=starts.ctypes.data_as(u32s),
+            indices=indices.ctypes.data_as(u32s),
+            pins=pins.ctypes.data_as(u32s),
+        )
+        options = _options(
+            native.PlanarizeOptions,
+            "s2pq_planarize_options_init",
+            planarity=planarity,
+            deviation=deviation,
+            closeness=closeness,
+            fairness=fairness,
+            strict=None if strict is None else int(bool(strict)),
+            offsets=_number(OFFSETS, offsets, "offsets"),
+            hold=_number(HOLDS, hold, "hold"),
+        )
+        surface = surface._pointer if surface is not None else None
+        return self._call(Mesh, "s2pq_planarize", ctypes.byref(polygons), surface, ctypes.byref(options))

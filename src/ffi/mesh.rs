@@ -6,8 +6,9 @@ use super::handle::{Handle, free, get, lend};
 use super::options::{Sized32, fill, read, write};
 use super::session::S2pqSession;
 use super::{S2pqStatus, choice, lend_array, lend_text, lent_text, output};
-use crate::mesh::BorderMode;
-use crate::pipeline::{self, MeshOptions, MeshResult};
+use crate::error::Error;
+use crate::mesh::{BorderMode, OffsetKind};
+use crate::pipeline::{self, BorderHold, MeshOptions, MeshResult};
 use std::ffi::{CString, c_char};
 
 /// What becomes of the cells at the border; passed as uint32_t.
@@ -24,6 +25,46 @@ pub enum S2pqBorder {
 
 /// In the order of [`S2pqBorder`].
 const BORDERS: [BorderMode; 3] = [BorderMode::Trimmed, BorderMode::Aligned, BorderMode::Interior];
+
+/// What vertices on the border of a mesh may do while its faces become planar; passed as uint32_t.
+#[derive(Clone, Copy)]
+#[repr(u32)]
+pub enum S2pqHold {
+    /// Move along the border of the surface, or of the mesh as it is given.
+    Slide = 0,
+    /// Not move at all.
+    Pinned = 1,
+    /// Move like any other vertex.
+    Free = 2,
+}
+
+/// In the order of [`S2pqHold`].
+const HOLDS: [BorderHold; 3] = [BorderHold::Slide, BorderHold::Pinned, BorderHold::Free];
+
+/// Offsets that a mesh should have, as far as planarity and closeness allow; passed as uint32_t.
+#[derive(Clone, Copy)]
+#[repr(u32)]
+pub enum S2pqOffsets {
+    /// Any.
+    Any = 0,
+    /// Each quad has a circumscribed circle: offsets at constant distance between vertices.
+    Circular = 1,
+    /// The panels around each vertex touch a cone: offsets at constant distance between panels.
+    Conical = 2,
+}
+
+/// In the order of [`S2pqOffsets`].
+const OFFSETS: [OffsetKind; 3] = [OffsetKind::Any, OffsetKind::Circular, OffsetKind::Conical];
+
+/// `number` as an S2pqHold.
+pub(super) fn hold(number: u32) -> Result<BorderHold, Error> {
+    choice("hold", number, &HOLDS, "an S2pqHold")
+}
+
+/// `number` as an S2pqOffsets.
+pub(super) fn offsets(number: u32) -> Result<OffsetKind, Error> {
+    choice("offsets", number, &OFFSETS, "an S2pqOffsets")
+}
 
 /// Options of extract_pq_mesh. Fill them by s2pq_mesh_options_init, then change what you need.
 #[derive(Clone, Copy)]
@@ -42,9 +83,13 @@ pub struct S2pqMeshOptions {
     pub edge_length: f64,
     /// Wanted planarity of the worst face: distance of the diagonals over the mean edge length. Default 1e-6.
     pub planarity: f64,
+    /// An S2pqOffsets. Default: S2PQ_OFFSETS_ANY.
+    pub offsets: u32,
+    /// An S2pqHold. Default: S2PQ_HOLD_SLIDE.
+    pub hold: u32,
 }
 
-// SAFETY: repr(C), size first, four u32 and two f64: no padding, all bits valid.
+// SAFETY: repr(C), size first, four u32, two f64 and two u32: no padding, all bits valid.
 unsafe impl Sized32 for S2pqMeshOptions {
     const NAME: &'static str = "S2pqMeshOptions";
     const DEFAULT: Self = Self {
@@ -54,6 +99,8 @@ unsafe impl Sized32 for S2pqMeshOptions {
         strict: MeshOptions::DEFAULT.strict as u32,
         edge_length: MeshOptions::DEFAULT.edge_length,
         planarity: MeshOptions::DEFAULT.planarity,
+        offsets: 0,
+        hold: 0,
     };
 }
 
@@ -80,7 +127,7 @@ pub struct S2pqMeshReport {
     /// Mean edge length, canvas unit.
     pub edge_length_mean: f64,
     /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border,
-    /// in [0, 1].
+    /// in [0, 1]; 0 without a surface.
     pub border_covered: f64,
     /// Milliseconds of all stages together, from the sketch on.
     pub time_ms: f64,
@@ -104,8 +151,8 @@ unsafe impl Sized32 for S2pqMeshReport {
     };
 }
 
-/// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh; independent of the field's
-/// handle.
+/// Planar panels: vertices and polygons, world frame, canvas unit. Made by extract_pq_mesh or s2pq_planarize; independent
+/// of the handles that it was made from.
 pub struct S2pqMesh {
     result: MeshResult,
     vertices: Vec<f64>,
@@ -126,7 +173,7 @@ impl Handle for S2pqMesh {
 }
 
 impl S2pqMesh {
-    fn new(result: MeshResult) -> Self {
+    pub(super) fn new(result: MeshResult) -> Self {
         let obj = lent_text(result.obj());
         let report = lent_text(result.report.to_json());
         let mut mesh = Self {
@@ -200,6 +247,8 @@ pub unsafe extern "C" fn extract_pq_mesh(
             strict: super::flag("strict", options.strict)?,
             edge_length: options.edge_length,
             planarity: options.planarity,
+            offsets: offsets(options.offsets)?,
+            hold: hold(options.hold)?,
         };
         let result = pipeline::extract_pq_mesh(&mut *session.lock()?, &field.result, &options)?;
         place.set(lend(S2pqMesh::new(result)));
@@ -349,7 +398,7 @@ pub unsafe extern "C" fn s2pq_mesh_report(mesh: *const S2pqMesh, report: *mut S2
             deviation_max: all.deviation_max,
             deviation_max_edges: all.deviation_max_edges,
             edge_length_mean: all.edge_length_mean,
-            border_covered: all.border_covered,
+            border_covered: all.border_covered.unwrap_or(0.0),
             time_ms: mesh.result.report.time_ms.total(),
         };
         // SAFETY: the host's promise.

@@ -462,3 +462,37 @@ fn strips_run_along_grid_lines() {
         assert!((p[0] + (p[2] - p[1]) - p[1]).norm() < 1e-9);
     }
 }
+
+#[test]
+fn the_whole_stage_gives_the_same_bytes_on_any_number_of_threads() {
+    use crate::field::{FieldOptions, conjugate_field};
+    use crate::mesh::{PlanarizeInput, PlanarizeOptions, border_vertices, planarize};
+    use crate::surface::SurfaceProjector;
+    let surface = gentle(4);
+    let stage = || {
+        let control = Control::default();
+        let tessellation = SurfaceMesh::new(&surface, [24; 2]).unwrap();
+        let field = conjugate_field(tessellation, None, &[], &FieldOptions::default(), &control).unwrap();
+        let (target, options) = (PanelTarget::Faces(250), ExtractOptions::default());
+        let extracted = panels(&field, &surface, target, &MapOptions::default(), &options, &control).unwrap();
+        let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
+        let (border, polylines) = (border_vertices(&extracted.mesh), extracted.strips());
+        let input = PlanarizeInput {
+            mesh: &extracted.mesh,
+            reference: Some(&SurfaceProjector::new(&surface)),
+            border: &border,
+            pins: &[],
+            polylines: &polylines,
+            splittable: &[],
+            parameters: Some(&parameters),
+        };
+        let result = planarize(&input, &PlanarizeOptions::default(), &control).unwrap();
+        let bits: Vec<[u64; 3]> = result.mesh.vertices.iter().map(|p| [p.x, p.y, p.z].map(f64::to_bits)).collect();
+        (bits, result.mesh.starts, result.mesh.indices)
+    };
+    let [one, two, three] = [1, 2, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(stage)
+    });
+    assert!(one.0.len() > 200 && one == two && one == three);
+}

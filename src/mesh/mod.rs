@@ -4,11 +4,13 @@ mod border;
 mod extract;
 mod isolines;
 mod obj;
+mod offsets;
 mod panel_mesh;
 mod planar_map;
 mod planarity;
 mod planarize;
 mod reference;
+mod split;
 mod topology;
 
 pub use border::{BorderMode, Repairs};
@@ -16,6 +18,7 @@ pub use extract::{
     EdgeFamily, ExtractOptions, ExtractedMesh, PanelTarget, VertexKind, VertexOrigin, extract, grid_triples, panels,
 };
 pub use obj::{read_obj, write_obj};
+pub use offsets::{OffsetKind, circularity, conicality};
 pub use panel_mesh::PanelMesh;
 pub use planarity::{best_plane, deviation, edge_lengths, edges, mean_edge_length, planarity};
 pub use planarize::{PlanarizeInput, PlanarizeOptions, Planarized, border_vertices, planarize};

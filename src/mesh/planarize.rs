@@ -1,8 +1,10 @@
 //! Moves vertices until every face is planar.
 
+use super::offsets::{AngleSum, OffsetKind, angle_sums};
 use super::panel_mesh::PanelMesh;
 use super::planarity::{edges, mean_edge_length, planarity};
 use super::reference::{Foot, MeshReference, Reference};
+use super::split::split_faces;
 use crate::control::Control;
 use crate::error::Error;
 use crate::numeric::{BlockMatrix, SymbolicCholesky};
@@ -21,6 +23,10 @@ pub struct PlanarizeInput<'a> {
     pub pins: &'a [u32],
     /// Neighbours (previous, vertex, next) along polylines that stay fair; see [`super::grid_triples`].
     pub polylines: &'a [[u32; 3]],
+    /// Faces that may be split into triangles where planarity would turn a face over or collapse an edge; any order.
+    pub splittable: &'a [u32],
+    /// Where each vertex lies in the reference's parameters, if that is known; spares the search for its first closest point.
+    pub parameters: Option<&'a [[f64; 2]]>,
 }
 
 /// How [`planarize`] weighs its aims. Weights multiply squared lengths in units of the mesh's mean edge length.
@@ -32,7 +38,9 @@ pub struct PlanarizeOptions {
     /// largest distance of a vertex from the centroid, the side for a square), or a fifth of its mean edge length, whichever
     /// is smaller.
     pub deviation: Option<f64>,
-    /// Most Newton rounds, over all phases.
+    /// Deviation over its limit up to which a planar mesh is preferred to a closer one that is not planar.
+    pub allowance: f64,
+    /// Most Newton rounds in search of the best compromise of the soft terms; projections onto the constraints come on top.
     pub rounds: usize,
     /// Weight of the distance to the surface (to its tangent plane at the closest point).
     pub closeness: f64,
@@ -45,28 +53,42 @@ pub struct PlanarizeOptions {
     /// Weight of the change of edge vectors, relative to the edge's length where it is shorter than the mean; grows for an
     /// edge that loses more than half of its length.
     pub stretch: f64,
+    /// Offsets that the mesh should have, as far as the other terms allow.
+    pub offsets: OffsetKind,
+    /// Weight of the squared angle sums, radians, that vanish for such meshes; see [`super::circularity`], [`super::conicality`].
+    pub offset_weight: f64,
+}
+
+impl PlanarizeOptions {
+    /// The defaults.
+    pub const DEFAULT: Self = Self {
+        target: 1e-6,
+        deviation: None,
+        allowance: 3.0,
+        rounds: 240,
+        closeness: 1.0,
+        anchor: 1e-2,
+        border: 1e3,
+        fairness: 0.5,
+        stretch: 5e-2,
+        offsets: OffsetKind::Any,
+        offset_weight: 100.0,
+    };
 }
 
 impl Default for PlanarizeOptions {
     fn default() -> Self {
-        Self {
-            target: 1e-6,
-            deviation: None,
-            rounds: 40,
-            closeness: 1.0,
-            anchor: 1e-2,
-            border: 1e3,
-            stretch: 5e-2,
-            fairness: 0.5,
-        }
+        Self::DEFAULT
     }
 }
 
 /// A planarized mesh and how well it came out.
 #[derive(Clone, Debug)]
 pub struct Planarized {
-    /// The input's faces on moved vertices.
+    /// The input's faces on moved vertices; those that were split as triangles in their place.
     pub mesh: PanelMesh,
+    /// Faces of the input that were split, ascending.
+    pub split: Vec<u32>,
     /// Planarity of each face, see [`planarity`].
     pub planarity: Vec<f64>,
     /// Distance of each vertex from the reference surface, or from its border for border vertices; mesh unit.
@@ -104,9 +126,13 @@ impl Planarized {
 /// whose symbolic part all rounds share, and multiplier updates. Where vertices leave the allowed deviation, their
 /// weights grow. The last rounds drop the soft gradient and only project onto the constraints.
 ///
+/// A planar mesh that turns a face over or collapses an edge is no answer: then all starts again with stiffer edges, those
+/// there above all. If that does not help either, faces there are let off being planar: those in
+/// [`PlanarizeInput::splittable`], which then become triangles, and, at last, any.
+///
 /// Planarity and closeness may contradict each other (panels along the rulings of a saddle). Then the better compromise
-/// is returned with its numbers: the planar mesh unless it strays more than three times the allowed deviation, turns
-/// faces over or collapses edges, else the mesh with the least planarity within the deviation; [`Planarized::is_planar`] and
+/// is returned with its numbers: the planar mesh unless it strays more than [`PlanarizeOptions::allowance`] times the allowed
+/// deviation, else the mesh with the least planarity within the deviation; [`Planarized::is_planar`] and
 /// [`Planarized::is_close`] tell.
 ///
 /// # Errors
@@ -132,13 +158,19 @@ pub fn planarize(input: &PlanarizeInput, options: &PlanarizeOptions, control: &C
     let mut state = State::new(input, reference, options, edge, limit)?;
     state.run(control)?;
 
-    let State { vertices, feet, rounds, .. } = state;
-    let mesh = PanelMesh { vertices, ..input.mesh.clone() };
+    let State { vertices, feet, rounds, freed, may_split, .. } = state;
+    let mut mesh = PanelMesh { vertices, ..input.mesh.clone() };
+    let bent = planarity(&mesh).into_iter().map(|p| p > options.target);
+    let split: Vec<bool> = bent.zip(freed.iter().zip(&may_split)).map(|(bent, (a, b))| bent && *a && *b).collect();
+    if split.contains(&true) {
+        mesh = split_faces(&mesh, |f| split[f]);
+    }
+    let split = (0..split.len() as u32).filter(|&f| split[f as usize]).collect();
     let planarity = planarity(&mesh);
     let deviation: Vec<f64> = mesh.vertices.iter().zip(&feet).map(|(p, foot)| (p - foot.point).norm()).collect();
     let is_planar = planarity.iter().all(|p| *p <= options.target);
     let is_close = deviation.iter().all(|d| *d <= limit);
-    Ok(Planarized { mesh, planarity, deviation, deviation_limit: limit, rounds, is_planar, is_close })
+    Ok(Planarized { mesh, split, planarity, deviation, deviation_limit: limit, rounds, is_planar, is_close })
 }
 
 /// The vertices on edges that belong to one face only, ascending.
@@ -178,6 +210,16 @@ fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error
         let reason = format!("a border, pin or polyline list refers to vertex {vertex} of {count}");
         return Err(Error::Degenerate { reason });
     }
+    if let Some(face) = input.splittable.iter().find(|&&f| f as usize >= mesh.face_count()) {
+        let value = face.to_string();
+        return Err(Error::Argument { name: "splittable", value, expected: "numbers of faces" });
+    }
+    if let Some(parameters) = input.parameters
+        && parameters.len() != count
+    {
+        let value = parameters.len().to_string();
+        return Err(Error::Argument { name: "parameters", value, expected: "one pair for each vertex" });
+    }
     let edge = mean_edge_length(mesh);
     if !(edge > 0.0 && edge.is_finite() && (1.0 / edge).is_finite()) {
         return Err(Error::Degenerate { reason: format!("the mean edge length of the mesh is {edge}") });
@@ -192,8 +234,14 @@ fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error
     positive("target", options.target)?;
     positive("anchor", options.anchor)?;
     positive("deviation", options.deviation.unwrap_or(1.0))?;
-    for (name, value) in [("closeness", options.closeness), ("border", options.border), ("fairness", options.fairness)]
-    {
+    positive("allowance", options.allowance)?;
+    for (name, value) in [
+        ("closeness", options.closeness),
+        ("border", options.border),
+        ("fairness", options.fairness),
+        ("stretch", options.stretch),
+        ("offset_weight", options.offset_weight),
+    ] {
         if !(value >= 0.0 && value.is_finite()) {
             return Err(Error::Argument { name, value: value.to_string(), expected: "a number that is not negative" });
         }
@@ -203,13 +251,16 @@ fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error
 
 /// Penalty on the squared constraint residuals, in units of the soft terms' weights; only the speed of the multiplier
 /// updates depends on it.
-const PENALTY: f64 = 1e5;
+const PENALTY: f64 = 1e6;
 
 /// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
 const UPDATES: usize = 3;
 
-/// Longest step of a vertex in one round, in mean edge lengths.
+/// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
 const LONGEST_STEP: f64 = 0.3;
+
+/// How much less a step counts that a vertex makes together with its neighbours.
+const JOINT_STEP: f64 = 0.15;
 
 /// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
 const STEP_TOLERANCE: f64 = 2e-3;
@@ -220,8 +271,40 @@ const STALE: f64 = 1e-2;
 /// Length of an edge over its length at the start, below which a mesh counts as spoiled.
 const COLLAPSED: f64 = 0.05;
 
-/// Deviation over its limit up to which a planar mesh is preferred to a closer one that is not planar.
-const PLANAR_ALLOWANCE: f64 = 3.0;
+/// Distance from the border that no border vertex should exceed, in widths of the mesh.
+const BORDER_LIMIT: f64 = 1e-3;
+
+/// Bound of closeness and border weights where they grow; stiffer ones slow the multipliers down.
+const LARGEST_WEIGHT: f64 = 1e5;
+
+/// Most attempts at a planar mesh that turns no face over and collapses no edge.
+const ATTEMPTS: usize = 6;
+
+/// Newton rounds of one attempt in search of the best compromise of the soft terms.
+const BALANCE_ROUNDS: usize = 40;
+
+/// Attempts that answer a turned face or a collapsed edge by stiffer edges; later ones give up the planarity of faces there.
+const STIFFENINGS: usize = 3;
+
+/// Factor on the stretch weight of all edges, for each attempt that failed.
+const STIFFENING: f64 = 2.0;
+
+/// Further factor on that of edges at turned faces and of collapsed edges.
+const STIFFENING_THERE: f64 = 5.0;
+
+/// Where a mesh is no longer what it was.
+struct Spoiled {
+    /// Faces that turned over or got stuck before they were planar.
+    faces: Vec<usize>,
+    /// Edges that all but collapsed, as places in the list of edges.
+    edges: Vec<usize>,
+}
+
+impl Spoiled {
+    fn is_empty(&self) -> bool {
+        self.faces.is_empty() && self.edges.is_empty()
+    }
+}
 
 /// The equations of one face.
 struct FaceEquations {
@@ -295,6 +378,7 @@ struct State<'a> {
     /// Mean edge length of the input: the unit of all residuals.
     edge: f64,
     limit: f64,
+    border_limit: f64,
     vertices: Vec<Point3<f64>>,
     on_border: Vec<bool>,
     pinned: Vec<bool>,
@@ -306,6 +390,13 @@ struct State<'a> {
     /// Multipliers of each face, one for each corner.
     multipliers: Vec<Vec<f64>>,
     edges: Vec<[u32; 2]>,
+    /// Factor on the stretch weight of each edge.
+    stiffness: Vec<f64>,
+    /// Whether each face may be split into triangles.
+    may_split: Vec<bool>,
+    /// Whether each face is let off being planar.
+    freed: Vec<bool>,
+    angle_sums: Vec<AngleSum>,
     matrix: BlockMatrix,
     symbolic: SymbolicCholesky,
     rounds: usize,
@@ -324,6 +415,8 @@ impl<'a> State<'a> {
         input.border.iter().for_each(|&v| on_border[v as usize] = true);
         let mut pinned = vec![false; count];
         input.pins.iter().for_each(|&v| pinned[v as usize] = true);
+        let mut may_split = vec![false; input.mesh.face_count()];
+        input.splittable.iter().for_each(|&f| may_split[f as usize] = true);
         let mut pairs = vec![];
         let groups = input.mesh.faces().filter(|f| f.len() > 3);
         for group in groups.chain(input.polylines.iter().map(|t| t.as_slice())) {
@@ -333,6 +426,13 @@ impl<'a> State<'a> {
         }
         let edges = edges(input.mesh);
         pairs.extend_from_slice(&edges);
+        let angle_sums = angle_sums(input.mesh, options.offsets);
+        for sum in &angle_sums {
+            let group = sum.angles.as_flattened();
+            for (k, &a) in group.iter().enumerate() {
+                pairs.extend(group[..k].iter().map(|&b| [a, b]));
+            }
+        }
         let matrix = BlockMatrix::new(count, pairs);
         let symbolic = SymbolicCholesky::new(matrix.matrix())?;
         let vertices = input.mesh.vertices.clone();
@@ -342,6 +442,7 @@ impl<'a> State<'a> {
             options,
             edge,
             limit,
+            border_limit: limit.min(BORDER_LIMIT * width(&input.mesh.vertices)),
             asked: vertices.clone(),
             vertices,
             on_border,
@@ -349,7 +450,11 @@ impl<'a> State<'a> {
             feet: vec![],
             emphasis: vec![1.0; count],
             multipliers: input.mesh.faces().map(|f| vec![0.0; f.len()]).collect(),
+            stiffness: vec![1.0; edges.len()],
+            may_split,
+            freed: vec![false; input.mesh.face_count()],
             edges,
+            angle_sums,
             matrix,
             symbolic,
             rounds: 0,
@@ -357,7 +462,7 @@ impl<'a> State<'a> {
         if !state.vertices.is_empty() && reference.closest_on_border(&state.vertices[0], None).is_none() {
             state.on_border.fill(false);
         }
-        state.feet = (0..count).map(|v| state.ask(v, None)).collect();
+        state.feet = (0..count).map(|v| state.ask(v, input.parameters.map(|p| p[v]))).collect();
         if let Some(index) =
             state.feet.iter().position(|f| !f.point.iter().chain(f.direction.iter()).all(|x| x.is_finite()))
         {
@@ -382,12 +487,19 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Largest planarity, and largest deviation over the limit.
+    /// Largest planarity of a face that should be planar, and largest deviation over the limit.
     fn measure(&self) -> (f64, f64) {
         let mesh = PanelMesh { vertices: self.vertices.clone(), ..self.input.mesh.clone() };
-        let worst = planarity(&mesh).into_iter().fold(0.0, f64::max);
+        let bound = planarity(&mesh).into_iter().zip(&self.freed).filter(|(_, freed)| !**freed);
+        let worst = bound.map(|(p, _)| p).fold(0.0, f64::max);
         let far = (0..self.vertices.len()).map(|v| self.distance(v)).fold(0.0, f64::max);
         (worst, far / self.limit)
+    }
+
+    /// Distance of a vertex from the reference over what it should not exceed, which is less on the border.
+    fn strain(&self, vertex: usize) -> f64 {
+        let limit = if self.on_border[vertex] { self.border_limit } else { self.limit };
+        self.distance(vertex) / limit
     }
 
     /// Distance of a vertex from the reference, exact to second order in its motion since its foot was asked for.
@@ -403,8 +515,8 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Whether a face turned over or an edge all but collapsed, compared with the start.
-    fn is_spoiled(&self) -> bool {
+    /// Faces that should be planar and miss `target`, or turned over, and edges that all but collapsed, compared with the start.
+    fn spoiled(&self, target: f64) -> Spoiled {
         let before = &self.input.mesh.vertices;
         let area = |vertices: &[Point3<f64>], face: &[u32]| -> Vector3<f64> {
             let origin = vertices[face[0] as usize];
@@ -413,23 +525,93 @@ impl<'a> State<'a> {
                 .sum()
         };
         let length = |vertices: &[Point3<f64>], [a, b]: [u32; 2]| (vertices[a as usize] - vertices[b as usize]).norm();
-        let turned = |face: &[u32]| {
-            let start = area(before, face);
-            start.dot(&area(&self.vertices, face)) < 0.0
-        };
+        let turned = |face: &[u32]| area(before, face).dot(&area(&self.vertices, face)) < 0.0;
         let collapsed = |edge: [u32; 2]| length(&self.vertices, edge) < COLLAPSED * length(before, edge);
-        self.input.mesh.faces().any(turned) || self.edges.iter().any(|e| collapsed(*e))
+        let mesh = self.input.mesh;
+        let moved = PanelMesh { vertices: self.vertices.clone(), ..mesh.clone() };
+        let bent = planarity(&moved).into_iter().zip(&self.freed);
+        let bent: Vec<bool> = bent.map(|(p, freed)| p > target && !freed).collect();
+        Spoiled {
+            faces: (0..mesh.face_count()).filter(|&f| turned(mesh.face(f)) || bent[f]).collect(),
+            edges: (0..self.edges.len()).filter(|&e| collapsed(self.edges[e])).collect(),
+        }
+    }
+
+    /// The edges of a face, as places in the list of edges.
+    fn edges_around(&self, face: usize) -> impl Iterator<Item = usize> + '_ {
+        let face = self.input.mesh.face(face);
+        (0..face.len()).filter_map(|k| {
+            let (a, b) = (face[k], face[(k + 1) % face.len()]);
+            self.edges.binary_search(&[a.min(b), a.max(b)]).ok()
+        })
+    }
+
+    /// The edges of the spoiled faces, and the spoiled edges; ascending.
+    fn edges_of(&self, spoiled: &Spoiled) -> Vec<usize> {
+        let mut edges = spoiled.edges.clone();
+        edges.extend(spoiled.faces.iter().flat_map(|&f| self.edges_around(f)));
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// The faces with an edge among `edges`, which ascend; ascending.
+    fn faces_at(&self, edges: &[usize]) -> Vec<usize> {
+        let is_there = |f: &usize| self.edges_around(*f).any(|e| edges.binary_search(&e).is_ok());
+        (0..self.input.mesh.face_count()).filter(is_there).collect()
+    }
+
+    /// Answers to a spoiled mesh, the milder ones first: stiffer edges, there above all; then faces there that need not be
+    /// planar because they may be split; at last any. Returns whether there was anything left to do.
+    fn repair(&mut self, spoiled: &Spoiled, attempt: usize) -> bool {
+        let edges = self.edges_of(spoiled);
+        self.stiffness.iter_mut().for_each(|s| *s *= STIFFENING);
+        edges.iter().for_each(|&e| self.stiffness[e] *= STIFFENING_THERE);
+        if attempt >= STIFFENINGS {
+            let mut faces = self.faces_at(&edges);
+            faces.retain(|&f| self.input.mesh.face(f).len() > 3 && !self.freed[f]);
+            if attempt + 2 < ATTEMPTS || faces.iter().any(|&f| self.may_split[f]) {
+                faces.retain(|&f| self.may_split[f]);
+            }
+            faces.iter().for_each(|&f| self.freed[f] = true);
+        }
+        attempt + 1 < ATTEMPTS
+    }
+
+    fn restart(&mut self) {
+        self.vertices.clone_from(&self.input.mesh.vertices);
+        self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
+        self.emphasis.fill(1.0);
+        self.refresh(0.0);
     }
 
     fn run(&mut self, control: &Control) -> Result<(), Error> {
-        let start = self.vertices.clone();
+        for attempt in 0..ATTEMPTS {
+            self.balance(control)?;
+            self.project(control)?;
+            let spoiled = self.spoiled(self.options.target);
+            if spoiled.is_empty() {
+                if self.measure().1 <= self.options.allowance {
+                    return Ok(());
+                }
+                break;
+            }
+            if !self.repair(&spoiled, attempt) {
+                break;
+            }
+            self.restart();
+        }
+        self.compromise(control)
+    }
+
+    /// Minimum of the soft terms under the constraints; where vertices leave the allowed deviation, their weights grow.
+    fn balance(&mut self, control: &Control) -> Result<(), Error> {
+        let end = (self.rounds + BALANCE_ROUNDS).min(self.options.rounds);
+        let largest = [self.options.closeness, self.options.border].map(|w| (LARGEST_WEIGHT / w).max(1.0));
         for attempt in 0..6 {
             let mut shortest = f64::INFINITY;
             let mut idle = 0;
-            for _ in 0..25 {
-                if self.rounds >= self.options.rounds {
-                    break;
-                }
+            while self.rounds < end {
                 let step = self.round(Phase::Balance, control)?;
                 // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
                 idle = if step > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
@@ -439,26 +621,23 @@ impl<'a> State<'a> {
                 shortest = shortest.min(step);
             }
             self.refresh(STALE);
-            let (_, far) = self.measure();
-            if far <= 0.9 || attempt == 5 || self.rounds + 6 >= self.options.rounds {
+            let far = (0..self.vertices.len()).map(|v| self.strain(v)).fold(0.0, f64::max);
+            if far <= 0.9 || attempt == 5 || self.rounds + 6 >= end {
                 break;
             }
             for v in 0..self.vertices.len() {
-                let ratio = self.distance(v) / (0.7 * self.limit);
-                self.emphasis[v] *= (ratio * ratio).clamp(1.0, 30.0);
+                let ratio = self.strain(v) / 0.7;
+                self.emphasis[v] =
+                    (self.emphasis[v] * (ratio * ratio).clamp(1.0, 30.0)).min(largest[usize::from(self.on_border[v])]);
             }
         }
-        self.project(control)?;
-        let (_, far) = self.measure();
-        if far <= PLANAR_ALLOWANCE && !self.is_spoiled() {
-            return Ok(());
-        }
+        Ok(())
+    }
 
-        // Planar and close contradict each other: the stiffest penalty that keeps within the deviation.
-        self.vertices = start;
-        self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
-        self.emphasis.fill(1.0);
-        self.refresh(0.0);
+    /// Planar and close contradict each other: the stiffest penalty that keeps within the deviation.
+    fn compromise(&mut self, control: &Control) -> Result<(), Error> {
+        self.restart();
+        self.freed.fill(false);
         let mut best = (self.vertices.clone(), self.measure());
         for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
             for _ in 0..6 {
@@ -468,7 +647,8 @@ impl<'a> State<'a> {
             }
             self.refresh(0.0);
             let measured = self.measure();
-            if measured.1 > 1.0 || self.is_spoiled() {
+            let spoiled = self.spoiled(f64::INFINITY);
+            if measured.1 > 1.0 || !spoiled.is_empty() {
                 break;
             }
             if measured.0 < best.1.0 {
@@ -517,7 +697,7 @@ impl<'a> State<'a> {
         let mut equations = Vec::with_capacity(mesh.face_count());
         for (f, face) in mesh.faces().enumerate() {
             let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
-            let equation = FaceEquations::new(&corners);
+            let equation = if self.freed[f] { None } else { FaceEquations::new(&corners) };
             if let Some(equation) = &equation {
                 let block = equation.normal * equation.normal.transpose() * penalty;
                 for i in 0..face.len() {
@@ -566,7 +746,10 @@ impl<'a> State<'a> {
         if !longest.is_finite() {
             return Err(Error::Degenerate { reason: "a planarization step is not finite".into() });
         }
-        let scale = self.edge * (LONGEST_STEP / longest).min(1.0);
+        // Neighbours that move together keep their panels' shapes, and may move farther.
+        let at = |v: u32| Vector3::from_row_slice(&step[3 * v as usize..3 * v as usize + 3]);
+        let strain = self.edges.iter().map(|&[a, b]| (at(a) - at(b)).norm()).fold(0.0, f64::max);
+        let scale = self.edge * (LONGEST_STEP / longest.min(strain.max(longest * JOINT_STEP))).min(1.0);
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
@@ -601,7 +784,7 @@ impl<'a> State<'a> {
                 (0..3).for_each(|a| gradient[3 * v + a] += g[a]);
             }
         }
-        for &[v, w] in &self.edges {
+        for (&[v, w], stiffness) in self.edges.iter().zip(&self.stiffness) {
             let (before, after) = (
                 self.input.mesh.vertices[w as usize] - self.input.mesh.vertices[v as usize],
                 self.vertices[w as usize] - self.vertices[v as usize],
@@ -610,7 +793,7 @@ impl<'a> State<'a> {
             // held ever more firmly.
             let length = (before.norm() / self.edge).clamp(1e-2, 1.0);
             let left = (2.0 * after.norm() / before.norm().max(f64::MIN_POSITIVE)).clamp(1e-1, 1.0);
-            let weight = options.stretch / (length * left).powi(2);
+            let weight = options.stretch * stiffness / (length * left).powi(2);
             let change = (after - before) * (weight / self.edge);
             let block = Matrix3::identity() * weight;
             for (a, b, sign) in [(v, w, -1.0), (w, v, 1.0)] {
@@ -623,6 +806,23 @@ impl<'a> State<'a> {
                 }
                 if with_gradient {
                     (0..3).for_each(|k| gradient[3 * a as usize + k] += sign * change[k]);
+                }
+            }
+        }
+        for sum in &self.angle_sums {
+            let Some((value, gradients)) = sum.evaluate(&self.vertices) else { continue };
+            for (&v, g) in sum.angles.as_flattened().iter().zip(gradients.as_flattened()) {
+                if self.pinned[v as usize] {
+                    continue;
+                }
+                let scaled = g * (options.offset_weight * self.edge);
+                for (&w, h) in sum.angles.as_flattened().iter().zip(gradients.as_flattened()) {
+                    if w <= v && !self.pinned[w as usize] {
+                        self.matrix.add(v, w, &(scaled * (h * self.edge).transpose()));
+                    }
+                }
+                if with_gradient {
+                    (0..3).for_each(|a| gradient[3 * v as usize + a] += value * scaled[a]);
                 }
             }
         }
@@ -701,7 +901,15 @@ mod tests {
 
     fn run(mesh: &PanelMesh, reference: Option<&dyn Reference>) -> Planarized {
         let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-        let input = PlanarizeInput { mesh, reference, border: &border, pins: &[], polylines: &polylines };
+        let input = PlanarizeInput {
+            mesh,
+            reference,
+            border: &border,
+            pins: &[],
+            polylines: &polylines,
+            parameters: None,
+            splittable: &[],
+        };
         planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap()
     }
 
@@ -782,7 +990,15 @@ mod tests {
     fn newton_converges_quadratically() {
         let mesh = skew_sphere(12);
         let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: None,
+            border: &border,
+            pins: &[],
+            polylines: &polylines,
+            parameters: None,
+            splittable: &[],
+        };
         let options = PlanarizeOptions::default();
         let reference = sphere();
         let edge = mean_edge_length(&mesh);
@@ -825,7 +1041,15 @@ mod tests {
     fn soft_gradient_matches_finite_differences() {
         let mesh = grid(4, 3, translational);
         let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &border, pins: &[7], polylines: &polylines };
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: None,
+            border: &border,
+            pins: &[7],
+            polylines: &polylines,
+            parameters: None,
+            splittable: &[],
+        };
         let options = PlanarizeOptions::default();
         let reference = MeshReference::from_panels(&mesh);
         let edge = mean_edge_length(&mesh);
@@ -877,7 +1101,15 @@ mod tests {
         let h = 0.1;
         let vertices = [[1.0, 0.0, h], [0.0, 1.0, -h], [-1.0, 0.0, h], [0.0, -1.0, -h]].map(Point3::from).to_vec();
         let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
-        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &[], pins: &[], polylines: &[] };
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: None,
+            border: &[],
+            pins: &[],
+            polylines: &[],
+            parameters: None,
+            splittable: &[],
+        };
         let options = PlanarizeOptions { closeness: 0.0, deviation: Some(1.0), ..PlanarizeOptions::default() };
         let result = planarize(&input, &options, &Control::default()).unwrap();
         assert!(result.mesh.vertices.iter().all(|p| p.z.abs() < 1e-9 && (p.coords.xy().norm() - 1.0).abs() < 1e-3));
@@ -904,6 +1136,42 @@ mod tests {
     }
 
     #[test]
+    fn offsets_are_approached_without_giving_up_planarity() {
+        use crate::mesh::{circularity, conicality};
+        // Parallels and meridians of a waisted surface, shaken: the circular and conical net is near.
+        let mesh = grid(10, 10, |s, t| {
+            let radius = 2.0 - 1.4 * t * (1.2 - t);
+            [radius * (1.5 * s).cos(), radius * (1.5 * s).sin(), 3.0 * t]
+        });
+        let reference = MeshReference::from_panels(&mesh);
+        let mesh = shaken(&mesh, 0.01);
+        let border = border_vertices(&mesh);
+        let polylines = grid_triples(&mesh, |_| false);
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: Some(&reference),
+            border: &border,
+            pins: &[],
+            polylines: &polylines,
+            parameters: None,
+            splittable: &[],
+        };
+        let try_with = |offsets| {
+            let options = PlanarizeOptions { offsets, ..PlanarizeOptions::default() };
+            planarize(&input, &options, &Control::default()).unwrap()
+        };
+        let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
+        let (any, circular, conical) =
+            (try_with(OffsetKind::Any), try_with(OffsetKind::Circular), try_with(OffsetKind::Conical));
+        for result in [&any, &circular, &conical] {
+            let (p, d) = (result.planarity_max(), result.deviation_max() / result.deviation_limit);
+            assert!(p < 1e-10 && result.is_close, "{p:.1e} {d}");
+        }
+        assert!(mean(circularity(&circular.mesh)) < 0.1 * mean(circularity(&any.mesh)));
+        assert!(mean(conicality(&conical.mesh)) < 0.1 * mean(conicality(&any.mesh)));
+    }
+
+    #[test]
     fn pins_hold_exactly() {
         let mesh = skew_sphere(8);
         let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
@@ -915,6 +1183,8 @@ mod tests {
             border: &border,
             pins: &pins,
             polylines: &polylines,
+            parameters: None,
+            splittable: &[],
         };
         let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
         assert!(result.planarity_max() < 1e-10);
@@ -970,7 +1240,15 @@ mod tests {
     fn hopeless_pins_give_a_result_with_numbers() {
         let vertices = [[1.0, 0.0, 0.3], [0.0, 1.0, -0.3], [-1.0, 0.0, 0.3], [0.0, -1.0, -0.3]];
         let mesh = PanelMesh::new(vertices.map(Point3::from).to_vec(), &[[0u32, 1, 2, 3]]).unwrap();
-        let input = PlanarizeInput { mesh: &mesh, reference: None, border: &[], pins: &[0, 1, 2, 3], polylines: &[] };
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: None,
+            border: &[],
+            pins: &[0, 1, 2, 3],
+            polylines: &[],
+            parameters: None,
+            splittable: &[],
+        };
         let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
         assert!(!result.is_planar && result.mesh == mesh);
     }
@@ -980,7 +1258,15 @@ mod tests {
         let options = PlanarizeOptions::default();
         let try_on = |mesh: &PanelMesh| {
             let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-            let input = PlanarizeInput { mesh, reference: None, border: &border, pins: &[], polylines: &polylines };
+            let input = PlanarizeInput {
+                mesh,
+                reference: None,
+                border: &border,
+                pins: &[],
+                polylines: &polylines,
+                parameters: None,
+                splittable: &[],
+            };
             planarize(&input, &options, &Control::default())
         };
         let good = grid(3, 3, translational);
@@ -1005,7 +1291,15 @@ mod tests {
 
         let control = Control::default();
         control.cancel();
-        let input = PlanarizeInput { mesh: &good, reference: None, border: &[], pins: &[], polylines: &[] };
+        let input = PlanarizeInput {
+            mesh: &good,
+            reference: None,
+            border: &[],
+            pins: &[],
+            polylines: &[],
+            parameters: None,
+            splittable: &[],
+        };
         assert_eq!(planarize(&input, &options, &control).unwrap_err(), Error::Cancelled);
         let input = PlanarizeInput { pins: &[99], ..input };
         assert!(matches!(planarize(&input, &options, &Control::default()), Err(Error::Degenerate { .. })));
@@ -1094,6 +1388,71 @@ mod tests {
         }
     }
 
+    fn turned_faces(before: &PanelMesh, after: &[Point3<f64>]) -> usize {
+        let area = |vertices: &[Point3<f64>], face: &[u32]| -> Vector3<f64> {
+            let at = |k: usize| vertices[face[k] as usize];
+            (1..face.len() - 1).map(|k| (at(k) - at(0)).cross(&(at(k + 1) - at(0)))).sum()
+        };
+        before.faces().filter(|f| area(&before.vertices, f).dot(&area(after, f)) <= 0.0).count()
+    }
+
+    #[test]
+    fn a_net_near_the_rulings_of_a_saddle_becomes_planar_without_turning_faces() {
+        let f = |x: f64, y: f64| (x * x - y * y) / 8.0;
+        let (mesh, border) = trimmed(f, 4.0, 0.45, 40.0);
+        let polylines = grid_triples(&mesh, |_| false);
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: Some(&Trimmed(f, 4.0)),
+            border: &border,
+            pins: &[],
+            polylines: &polylines,
+            parameters: None,
+            splittable: &[],
+        };
+        let options = PlanarizeOptions { allowance: 10.0, ..PlanarizeOptions::default() };
+        let result = planarize(&input, &options, &Control::default()).unwrap();
+        assert!(result.planarity_max() < 1e-10, "{:.1e}", result.planarity_max());
+        assert_eq!(turned_faces(&mesh, &result.mesh.vertices), 0);
+    }
+
+    /// The plane z = 0 with the line through (0, 1, 0.3) along (0, 1, 0.1) as its border.
+    struct SlantedBorder;
+
+    impl Reference for SlantedBorder {
+        fn closest(&self, p: &Point3<f64>, _: Option<[f64; 2]>) -> Foot {
+            Foot { point: Point3::new(p.x, p.y, 0.0), direction: Vector3::z(), parameters: [0.0; 2] }
+        }
+        fn closest_on_border(&self, p: &Point3<f64>, _: Option<[f64; 2]>) -> Option<Foot> {
+            let (start, along) = (Point3::new(0.0, 1.0, 0.3), Vector3::new(0.0, 1.0, 0.1).normalize());
+            Some(Foot { point: start + along * along.dot(&(p - start)), direction: along, parameters: [0.0; 2] })
+        }
+    }
+
+    #[test]
+    fn a_cell_that_could_only_turn_over_is_split_where_it_may_be() {
+        // Its last corner would have to slide down the border to (0, -2, 0).
+        let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.3]].map(Point3::from).to_vec();
+        let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
+        let input = PlanarizeInput {
+            mesh: &mesh,
+            reference: Some(&SlantedBorder),
+            border: &[3],
+            pins: &[0, 1, 2],
+            polylines: &[],
+            parameters: None,
+            splittable: &[0],
+        };
+        let options = PlanarizeOptions { border: 1e7, ..PlanarizeOptions::default() };
+        let result = planarize(&input, &options, &Control::default()).unwrap();
+        assert_eq!((result.mesh.face_count(), result.split.as_slice()), (2, [0u32].as_slice()));
+        assert!(result.is_planar && result.is_close && turned_faces(&mesh, &result.mesh.vertices) == 0);
+
+        let whole = planarize(&PlanarizeInput { splittable: &[], ..input }, &options, &Control::default()).unwrap();
+        assert!(whole.mesh.face_count() == 1 && !whole.is_planar && whole.planarity_max() > 0.1);
+        assert_eq!(turned_faces(&mesh, &whole.mesh.vertices), 0);
+    }
+
     #[test]
     fn trimmed_cells_become_planar_on_the_border_too() {
         type Height = fn(f64, f64) -> f64;
@@ -1114,6 +1473,8 @@ mod tests {
                 border: &border,
                 pins: &[],
                 polylines: &polylines,
+                parameters: None,
+                splittable: &[],
             };
             let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
             assert!(result.planarity_max() < 1e-10 && result.is_close, "{:.1e}", result.planarity_max());

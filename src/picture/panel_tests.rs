@@ -33,8 +33,17 @@ fn claim(name: &str, surface: &NurbsSurface, faces: usize) {
         .filter(|&v| extracted.origins[v as usize].kind != VertexKind::Interior)
         .collect();
     let polylines = extracted.strips();
+    let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
     let projector = SurfaceProjector::new(surface);
-    let input = PlanarizeInput { mesh, reference: Some(&projector), border: &border, pins: &[], polylines: &polylines };
+    let input = PlanarizeInput {
+        mesh,
+        reference: Some(&projector),
+        border: &border,
+        pins: &[],
+        polylines: &polylines,
+        parameters: Some(&parameters),
+        splittable: &[],
+    };
     let result = planarize(&input, &PlanarizeOptions::default(), &control).unwrap();
 
     let before = planarity(mesh).into_iter().fold(0.0, f64::max);

@@ -1,20 +1,33 @@
 //! Third call: field to a mesh of planar panels.
 
 use super::field::{FieldPatch, FieldResult};
+use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
 use crate::control::Control;
 use crate::error::Error;
 use crate::field::MapOptions;
 use crate::mesh::{
-    BorderMode, ExtractOptions, ExtractedMesh, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions, Planarized,
-    VertexKind, border_vertices, edge_lengths, panels, planarize, write_obj,
+    BorderMode, ExtractOptions, ExtractedMesh, OffsetKind, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions,
+    Planarized, VertexKind, border_vertices, edge_lengths, panels, planarize, write_obj,
 };
 use crate::surface::{NurbsSurface, SurfaceProjector};
 use nalgebra::{Point3, Vector3};
 
 /// Most faces that a host may ask for.
 pub const MAX_FACES: usize = 1_000_000;
+
+/// What vertices on the border of a mesh may do while its faces become planar.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BorderHold {
+    /// Move along the border of the surface, or of the mesh as it is given; the surface's corners stay.
+    #[default]
+    Slide,
+    /// Not move at all.
+    Pinned,
+    /// Move like any other vertex.
+    Free,
+}
 
 /// What a host may ask of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,12 +42,23 @@ pub struct MeshOptions {
     pub edge_length: f64,
     /// Wanted planarity of the worst face, in [1e-12, 1].
     pub planarity: f64,
+    /// Offsets that the panels should have, as far as planarity and closeness allow.
+    pub offsets: OffsetKind,
+    /// What the vertices on the border may do.
+    pub hold: BorderHold,
 }
 
 impl MeshOptions {
     /// The defaults.
-    pub const DEFAULT: Self =
-        Self { border: BorderMode::Trimmed, faces: 500, strict: false, edge_length: 0.0, planarity: 1e-6 };
+    pub const DEFAULT: Self = Self {
+        border: BorderMode::Trimmed,
+        faces: 500,
+        strict: false,
+        edge_length: 0.0,
+        planarity: 1e-6,
+        offsets: OffsetKind::Any,
+        hold: BorderHold::Slide,
+    };
 
     fn check(&self) -> Result<(), Error> {
         let fail = |name, value: String, expected| Err(Error::Argument { name, value, expected });
@@ -72,6 +96,8 @@ pub struct MeshPatch {
     pub irregular: Vec<u32>,
     /// Faces that had to be left out.
     pub dropped: usize,
+    /// Cells at the border that were split into triangles.
+    pub split: usize,
     /// Length of the surface's border, and how much of it lies within a tenth of the mean edge length of the mesh's
     /// border; canvas unit.
     pub border_length: [f64; 2],
@@ -79,6 +105,39 @@ pub struct MeshPatch {
     pub feature_angle: [f64; 2],
     /// Newton rounds of the planarization.
     pub rounds: usize,
+}
+
+impl MeshPatch {
+    /// A planarized mesh with what can be measured on it alone, in its own frame; `outline`: its border vertices, ascending.
+    pub(super) fn new(
+        planarized: Planarized,
+        surface: Option<&NurbsSurface>,
+        outline: &[u32],
+        irregular: Vec<u32>,
+    ) -> Self {
+        let mut on_border = vec![false; planarized.mesh.vertices.len()];
+        outline.iter().for_each(|&v| on_border[v as usize] = true);
+        Self {
+            border_length: surface.map_or([0.0; 2], |surface| border_length(surface, &planarized.mesh, outline)),
+            mesh: planarized.mesh,
+            planarity: planarized.planarity,
+            deviation: planarized.deviation,
+            on_border,
+            irregular,
+            dropped: 0,
+            split: planarized.split.len(),
+            feature_angle: [0.0; 2],
+            rounds: planarized.rounds,
+        }
+    }
+
+    /// The patch in the world, from the working frame that `placement` describes.
+    fn placed(mut self, placement: &Placement) -> Self {
+        self.mesh.vertices.iter_mut().for_each(|p| *p = placement.to_world(p));
+        let lengths = self.deviation.iter_mut().chain(&mut self.border_length).chain(&mut self.feature_angle);
+        lengths.for_each(|length| *length /= placement.scale);
+        self
+    }
 }
 
 /// Meshes of all patches.
@@ -101,6 +160,8 @@ pub struct MeshMeasures {
     pub irregular_vertices: usize,
     /// Faces that had to be left out.
     pub dropped: usize,
+    /// Cells at the border that were split into triangles.
+    pub split: usize,
     /// Planarity of the worst face.
     pub planarity_max: f64,
     /// Mean planarity of the faces.
@@ -111,14 +172,37 @@ pub struct MeshMeasures {
     pub deviation_max_edges: f64,
     /// Mean length of the edges, canvas unit.
     pub edge_length_mean: f64,
-    /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border.
-    pub border_covered: f64,
+    /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border;
+    /// `None` without a surface.
+    pub border_covered: Option<f64>,
     /// Mean angle between a feature line and the nearer family of the mesh's edges, degrees; `None` without feature
     /// lines.
     pub feature_angle_deg: Option<f64>,
 }
 
 impl MeshResult {
+    /// The patches with their measures added to the report of the stages before.
+    pub(super) fn new(patches: Vec<MeshPatch>, report: Report) -> Self {
+        let mut result = Self { patches, report };
+        let all = result.measures();
+        result.report = Report {
+            d_f_deg: all.feature_angle_deg,
+            p_max: Some(all.planarity_max),
+            p_mean: Some(all.planarity_mean),
+            deviation_max: Some(all.deviation_max),
+            deviation_max_edges: Some(all.deviation_max_edges),
+            border_covered: all.border_covered,
+            irregular_vertices: Some(all.irregular_vertices),
+            edge_length_mean: Some(all.edge_length_mean),
+            faces: Some(all.faces),
+            quads: Some(all.quads),
+            dropped: Some(all.dropped),
+            split: Some(all.split),
+            ..result.report
+        };
+        result
+    }
+
     /// Measures over all patches; means over all faces or edges.
     pub fn measures(&self) -> MeshMeasures {
         let mut all = MeshMeasures::default();
@@ -131,6 +215,7 @@ impl MeshResult {
             all.quads += patch.mesh.faces().filter(|face| face.len() == 4).count();
             all.irregular_vertices += patch.irregular.len();
             all.dropped += patch.dropped;
+            all.split += patch.split;
             all.planarity_max = patch.planarity.iter().copied().fold(all.planarity_max, f64::max);
             all.planarity_mean += patch.planarity.iter().sum::<f64>();
             all.deviation_max = all.deviation_max.max(deviation);
@@ -144,7 +229,7 @@ impl MeshResult {
         }
         all.planarity_mean /= all.faces as f64;
         all.edge_length_mean /= edges as f64;
-        all.border_covered = border[1] / border[0];
+        all.border_covered = (border[0] > 0.0).then(|| border[1] / border[0]);
         all.feature_angle_deg = (lines[1] > 0.0).then(|| lines[0] / lines[1]);
         all
     }
@@ -187,24 +272,7 @@ fn run(field: &FieldResult, options: &MeshOptions, control: &Control) -> Result<
         patches.push(patch_mesh(patch, target, options, control, &mut times)?);
     }
     control.step("planarize", 1.0)?;
-    let mut result = MeshResult { patches, report: Report::new() };
-    let all = result.measures();
-    result.report = Report {
-        d_f_deg: all.feature_angle_deg,
-        p_max: Some(all.planarity_max),
-        p_mean: Some(all.planarity_mean),
-        deviation_max: Some(all.deviation_max),
-        deviation_max_edges: Some(all.deviation_max_edges),
-        border_covered: Some(all.border_covered),
-        irregular_vertices: Some(all.irregular_vertices),
-        edge_length_mean: Some(all.edge_length_mean),
-        faces: Some(all.faces),
-        quads: Some(all.quads),
-        dropped: Some(all.dropped),
-        time_ms: times,
-        ..field.report.clone()
-    };
-    Ok(result)
+    Ok(MeshResult::new(patches, Report { time_ms: times, ..field.report.clone() }))
 }
 
 /// Area of a patch, canvas unit.
@@ -233,63 +301,29 @@ fn patch_mesh(
         }
     }
     let extract = ExtractOptions { border: options.border, ..ExtractOptions::default() };
-    let mut best: Option<(ExtractedMesh, Vec<u32>, Planarized)> = None;
-    for factor in DENSITIES {
-        let extracted = timed(&mut times.mesh, || {
-            panels(&patch.field, &patch.surface, target.scaled(factor), &MapOptions::default(), &extract, control)
-        })?;
-        control.step("planarize", 0.0)?;
-        let outline = border_vertices(&extracted.mesh);
-        let planarized =
-            timed(&mut times.planarize, || flatten(&patch.surface, &extracted, &outline, options, control))?;
-        let better = best.as_ref().is_none_or(|(_, _, b)| planarized.planarity_max() < b.planarity_max());
-        if better {
-            best = Some((extracted, outline, planarized));
-        }
-        if best.as_ref().is_some_and(|(_, _, b)| b.planarity_max() <= FABRICATION_PLANARITY.max(options.planarity)) {
-            break;
-        }
-    }
-    let Some((extracted, outline, planarized)) = best else {
-        return Err(Error::NoMesh { reason: "no density was tried".into() });
-    };
+    let extracted = timed(&mut times.mesh, || {
+        panels(&patch.field, &patch.surface, target, &MapOptions::default(), &extract, control)
+    })?;
+    control.step("planarize", 0.0)?;
+    let outline = border_vertices(&extracted.mesh);
+    let planarized = timed(&mut times.planarize, || flatten(&patch.surface, &extracted, &outline, options, control))?;
     if options.strict && !planarized.is_planar {
         let (reached, rounds) = (planarized.planarity_max(), planarized.rounds);
         return Err(Error::NotPlanar { reached, target: options.planarity, rounds });
     }
-    let mut on_border = vec![false; extracted.mesh.vertices.len()];
-    outline.iter().for_each(|&v| on_border[v as usize] = true);
-    let scale = patch.placement.scale;
-    let length = border_length(&patch.surface, &planarized.mesh, &outline);
-    let feature_angle = feature_angle(&patch.feature_lines, &planarized.mesh);
-    let vertices = planarized.mesh.vertices.iter().map(|p| patch.placement.to_world(p)).collect();
-    Ok(MeshPatch {
-        mesh: PanelMesh { vertices, ..planarized.mesh },
-        planarity: planarized.planarity,
-        deviation: planarized.deviation.iter().map(|d| d / scale).collect(),
-        on_border,
-        irregular: extracted.irregular,
-        dropped: extracted.repairs.dropped,
-        border_length: length.map(|l| l / scale),
-        feature_angle: [feature_angle[0] / scale, feature_angle[1] / scale],
-        rounds: planarized.rounds,
-    })
+    let mut result = MeshPatch::new(planarized, Some(&patch.surface), &outline, extracted.irregular);
+    result.feature_angle = feature_angle(&patch.feature_lines, &result.mesh);
+    result.dropped = extracted.repairs.dropped;
+    Ok(result.placed(&patch.placement))
 }
 
-/// Planarity that a fabricator accepts in any case; above it, being planar goes before being close.
-const FABRICATION_PLANARITY: f64 = 1e-3;
-/// How much farther from the surface each further try may go.
-const WIDENING: [f64; 2] = [3.0, 9.0];
+/// How many times the allowed deviation a planar mesh may stray: panels that cannot be built are no panels, and the report
+/// tells the deviation.
+const ALLOWANCE: f64 = 10.0;
 
-/// Densities that are tried, as factors of the number of faces, until one gives panels that can be built flat. The integers of
-/// the map decide where panels fall on saddles and folds; another layout within the allowed face count often avoids the
-/// place where the first gets stuck.
-const DENSITIES: [f64; 5] = [1.0, 0.94, 1.06, 0.89, 1.11];
-
-/// Planarizes within the default deviation; where that leaves faces that nobody can build flat, allows more of it.
+/// Makes extracted panels planar.
 ///
-/// A sketch can ask for shapes whose panels are planar only some way off the surface. The report tells planarity and
-/// deviation both, so neither is traded silently.
+/// Where planarity would turn a face over or collapse an edge, cells at the border may become triangles.
 fn flatten(
     surface: &NurbsSurface,
     extracted: &ExtractedMesh,
@@ -301,29 +335,28 @@ fn flatten(
     let on_surface_border = |v: &u32| !matches!(extracted.origins[*v as usize].kind, VertexKind::Interior);
     let held: Vec<u32> = outline.iter().copied().filter(on_surface_border).collect();
     let strips = extracted.strips();
+    let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|origin| origin.parameter).collect();
+    // Triangles at the border are panels like any other there.
+    let at_border = |face: &[u32]| face.iter().any(|v| outline.binary_search(v).is_ok());
+    let splittable: Vec<u32> =
+        (0..extracted.mesh.face_count() as u32).filter(|&f| at_border(extracted.mesh.face(f as usize))).collect();
     let projector = SurfaceProjector::new(surface);
     let input = PlanarizeInput {
         mesh: &extracted.mesh,
         reference: Some(&projector),
-        border: &held,
-        pins: &[],
+        border: if options.hold == BorderHold::Free { &[] } else { &held },
+        pins: if options.hold == BorderHold::Pinned { outline } else { &[] },
         polylines: &strips,
+        parameters: Some(&parameters),
+        splittable: &splittable,
     };
-    let target = options.planarity;
-    let options = PlanarizeOptions { target, ..PlanarizeOptions::default() };
-    let mut best = planarize(&input, &options, control)?;
-    let limit = best.deviation_limit;
-    for factor in WIDENING {
-        if best.planarity_max() <= FABRICATION_PLANARITY.max(target) {
-            break;
-        }
-        let wider = PlanarizeOptions { deviation: Some(limit * factor), ..options.clone() };
-        let next = planarize(&input, &wider, control)?;
-        if next.planarity_max() < best.planarity_max() {
-            best = next;
-        }
-    }
-    Ok(best)
+    let options = PlanarizeOptions {
+        target: options.planarity,
+        offsets: options.offsets,
+        allowance: ALLOWANCE,
+        ..PlanarizeOptions::default()
+    };
+    planarize(&input, &options, control)
 }
 
 /// Samples of each side of the surface's border.

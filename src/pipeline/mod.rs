@@ -9,14 +9,16 @@ mod field;
 mod lift;
 mod mesh;
 mod placement;
+mod planarize;
 mod report;
 mod session;
 mod surface;
 
 pub use curves::FeatureCurve;
 pub use field::{FieldMeasures, FieldOptions, FieldPatch, FieldResult, sketch_to_cdf, surface_to_cdf};
-pub use mesh::{MAX_FACES, MeshMeasures, MeshOptions, MeshPatch, MeshResult, extract_pq_mesh};
+pub use mesh::{BorderHold, MAX_FACES, MeshMeasures, MeshOptions, MeshPatch, MeshResult, extract_pq_mesh};
 pub use placement::Placement;
+pub use planarize::{PanelOptions, planarize_panels};
 pub use report::Report;
 pub use session::{MAX_THREADS, Progress, Session, SessionOptions, Times};
 pub use surface::{SurfaceDiagnostics, SurfaceOptions, SurfacePatch, SurfaceResult, sketch_to_surface};

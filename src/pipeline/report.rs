@@ -83,6 +83,9 @@ pub struct Report {
     /// Faces that had to be left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dropped: Option<usize>,
+    /// Cells at the border that were split into triangles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split: Option<usize>,
     /// Wall-clock milliseconds of each stage.
     pub time_ms: Times,
 }

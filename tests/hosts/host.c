@@ -59,10 +59,17 @@ OFFSET(S2pqCurves, hard, 32);
 LAYOUT(S2pqFieldDiagnostics, 40);
 OFFSET(S2pqFieldDiagnostics, singularities, 4);
 OFFSET(S2pqFieldDiagnostics, feature_angle_deg, 32);
-LAYOUT(S2pqMeshOptions, 32);
+LAYOUT(S2pqMeshOptions, 40);
 OFFSET(S2pqMeshOptions, border, 4);
 OFFSET(S2pqMeshOptions, edge_length, 16);
 OFFSET(S2pqMeshOptions, planarity, 24);
+OFFSET(S2pqMeshOptions, hold, 36);
+LAYOUT(S2pqPolygons, 64);
+OFFSET(S2pqPolygons, vertex_count, 8);
+OFFSET(S2pqPolygons, pins, 56);
+LAYOUT(S2pqPlanarizeOptions, 48);
+OFFSET(S2pqPlanarizeOptions, strict, 12);
+OFFSET(S2pqPlanarizeOptions, fairness, 40);
 LAYOUT(S2pqMeshReport, 72);
 OFFSET(S2pqMeshReport, faces, 4);
 OFFSET(S2pqMeshReport, planarity_max, 16);
@@ -345,6 +352,48 @@ static void feature_curves(S2pqSession *session, S2pqSurface *surface) {
   CHECK(surface_to_cdf(session, NULL, NULL, NULL, &field) == S2PQ_STATUS_INVALID_ARGUMENT && field == NULL);
 }
 
+/* A host's own quad, made planar; then what must not be taken. */
+static void own_panels(S2pqSession *session) {
+  double xyz[15] = {1, 0, 0.1, 0, 1, -0.1, -1, 0, 0.1, 0, -1, -0.1, 0.5, 2, 0};
+  uint32_t starts[3] = {0, 4, 7}, indices[7] = {0, 1, 2, 3, 0, 4, 1}, pin = 1;
+  S2pqPolygons polygons = {.struct_size = sizeof polygons,
+                           .vertex_count = 5,
+                           .face_count = 2,
+                           .pin_count = 1,
+                           .vertices = xyz,
+                           .starts = starts,
+                           .indices = indices,
+                           .pins = &pin};
+  S2pqPlanarizeOptions options;
+  S2pqMesh *mesh = NULL;
+  const double *values;
+  size_t count;
+  CHECK(s2pq_planarize_options_init(&options, sizeof options) == S2PQ_STATUS_OK);
+  options.hold = S2PQ_HOLD_FREE;
+  options.deviation = 1;
+  CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_OK);
+  CHECK(s2pq_mesh_planarity(mesh, &values, &count) == S2PQ_STATUS_OK && count == 2 && values[0] < 1e-9);
+  CHECK(s2pq_mesh_vertices(mesh, &values, &count) == S2PQ_STATUS_OK && count == 5);
+  CHECK(values[3] == 0 && values[4] == 1 && values[5] == -0.1);
+  CHECK(s2pq_mesh_deviation(mesh, &values, &count) == S2PQ_STATUS_OK && count == 5 && values[1] == 0);
+  s2pq_mesh_free(mesh);
+  mesh = NULL;
+  pin = 5;
+  CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  pin = 1;
+  options.hold = 3;
+  CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  starts[1] = 8;
+  CHECK(s2pq_planarize(session, &polygons, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  starts[1] = 5;
+  CHECK(s2pq_planarize(session, &polygons, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_GEOMETRY);
+  polygons.vertices = NULL;
+  CHECK(s2pq_planarize(session, &polygons, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_planarize(session, NULL, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_planarize(NULL, &polygons, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(mesh == NULL);
+}
+
 /* A host's own surface: a rational quarter of a cylinder, in both conventions of knots. */
 static void own_surface(S2pqSession *session) {
   const double h = 0.70710678118654752;
@@ -449,6 +498,7 @@ int main(int argc, char **argv) {
   progress_and_cancel(session, sketch);
   broken_sketches(session);
   own_surface(session);
+  own_panels(session);
 
   s2pq_field_free(field);
   s2pq_surface_free(surface);

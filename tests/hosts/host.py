@@ -152,6 +152,34 @@ def own_surface(session):
     raises(s.ArgumentError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net[0])
 
 
+def own_panels(session):
+    """A host's own quads on a sphere, that are not planar."""
+    t = np.linspace(-0.6, 0.6, 9)
+    x, y = np.meshgrid(np.tan(t), np.tan(t), indexing="ij")
+    points = np.stack([x, y + 0.2 * t[:, None], np.ones_like(x)], axis=-1).reshape(-1, 3)
+    points *= 5 / np.linalg.norm(points, axis=1, keepdims=True)
+    faces = [[9 * i + j, 9 * i + j + 9, 9 * i + j + 10, 9 * i + j + 1] for i in range(8) for j in range(8)]
+    assert session.planarize(points, faces, deviation=1e-9).measures["planarity_max"] > 1e-3
+    mesh = session.planarize(points, faces, pins=[0, 40])
+    assert mesh.planarity.max() < 1e-9 and len(mesh.planarity) == 64 and len(mesh.deviation) == 81
+    assert (mesh.vertices[[0, 40]] == points[[0, 40]]).all() and 0 < mesh.deviation.max() < 0.2
+    assert [list(face) for face in mesh.faces] == faces and "border_covered" not in mesh.report
+    assert (session.planarize(points, faces).vertices[mesh.on_border == 1] != points[mesh.on_border == 1]).any()
+    pinned = session.planarize(points, faces, hold="pinned")
+    assert (pinned.vertices[mesh.on_border == 1] == points[mesh.on_border == 1]).all()
+    circular = session.planarize(points, faces, offsets="circular")
+    assert circular.planarity.max() < 1e-9 and (circular.vertices != mesh.vertices).any()
+    triangle = [[0, 1, 10]]
+    raises(s.ArgumentError, session.planarize, points, faces, pins=[81])
+    raises(s.ArgumentError, session.planarize, points, triangle, hold="tight")
+    raises(s.ArgumentError, session.planarize, points, [[0.5, 1, 2]])
+    raises(s.ArgumentError, session.planarize, points, faces, planarity=-1.0)
+    raises(s.GeometryError, session.planarize, points, [[0, 1, 99]])
+    raises(s.GeometryError, session.planarize, points, [[0, 1, 1]])
+    raises(s.ArgumentError, session.planarize, points * np.nan, faces)
+    raises(s.NotReached, session.planarize, points, faces, pins=range(81), strict=True)
+
+
 def arguments(session):
     field = session.field(session.surface(drawn(SQUARE)))
     raises(s.ArgumentError, session.mesh, field, faces=0)
@@ -195,7 +223,7 @@ def main():
     mirrors_the_header()
     session = s.Session(backend="embedded")
     assert "rten" in session.backend
-    for test in (broken_sketches, moves_and_scales_exactly, own_surface, arguments, progress_and_cancel):
+    for test in (broken_sketches, moves_and_scales_exactly, own_surface, own_panels, arguments, progress_and_cancel):
         test(session)
     the_pipeline(session, sys.argv[1])
     print("host.py: all checks passed")
