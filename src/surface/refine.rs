@@ -176,12 +176,16 @@ pub fn refine(
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
-        if !(value.is_finite() && value >= 0.0) {
-            return Err(Error::Argument { name, value: value.to_string(), expected: "a finite number, at least 0" });
-        }
-    }
     Refiner::new(start, targets, options)?.run(options.iterations, control)
+}
+
+/// The energy of `start` that [`refine`] would begin with: tells which of several starts fits the targets best.
+///
+/// # Errors
+/// As [`refine`].
+pub fn energy(start: &NurbsSurface, targets: &SurfaceTargets, options: &RefineOptions) -> Result<f64, Error> {
+    let refiner = Refiner::new(start, targets, options)?;
+    Ok(refiner.linearize(&refiner.start).energy)
 }
 
 impl LayerMaps {
@@ -300,6 +304,15 @@ enum Association {
 
 impl<'a> Refiner<'a> {
     fn new(start: &NurbsSurface, targets: &'a SurfaceTargets, options: &RefineOptions) -> Result<Self, Error> {
+        for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::Argument {
+                    name,
+                    value: value.to_string(),
+                    expected: "a finite number, at least 0",
+                });
+            }
+        }
         let knots = start.knots().clone();
         if start.weights().is_some() || knots.iter().any(|k| k.degree() != 3) {
             return Err(Error::Nurbs { reason: "refinement takes a cubic surface without weights".into() });
