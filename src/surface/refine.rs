@@ -1312,6 +1312,27 @@ mod tests {
     }
 
     #[test]
+    fn moving_a_depth_sample_moves_the_surface_continuously() {
+        let scene = synthetic::scene(synthetic::vault());
+        let mut targets = targets(&scene);
+        let mesh = crate::surface::SurfaceMesh::new(&scene.truth, [100, 100]).unwrap();
+        let caster = crate::surface::RayCaster::new(&mesh, [Vector3::x(), Vector3::y(), Vector3::z()]);
+        let visible = caster.hits(-2.0, -1.0)[0].depth;
+        let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
+        let mut at = |offset: f64| {
+            targets.samples = vec![LayerSample { position: [-2.0, -1.0], occluded: false, depth: visible + offset }];
+            let maps = targets.maps.meeting(&targets.samples);
+            let net = unfolded_net(&targets.border, &curves, &targets.contours, &maps).unwrap();
+            run(&NurbsSurface::new(curves.knots.clone(), net, None).unwrap(), &targets).surface
+        };
+        // How far the surface moves, not its parameters, which no one sees.
+        let moved = |a: &NurbsSurface, b: &NurbsSurface| deviation(a, b)[1];
+        let (base, little, more) = (at(0.2), at(0.201), at(0.3));
+        assert!(moved(&base, &little) < 0.01 && moved(&base, &more) > 0.05, "{}", moved(&base, &little));
+        assert!(moved(&base, &more) < 0.4);
+    }
+
+    #[test]
     fn a_shift_in_depth_shifts_the_result() {
         let scene = synthetic::scene(synthetic::dome());
         let mut targets = targets(&scene);
