@@ -24,6 +24,8 @@ pub struct BorderCurves {
     pub sides: [Vec<Point3<f64>>; 4],
     /// The loop's points with their smoothed depth, z = -depth, in the order of the loop.
     pub points: Vec<Point3<f64>>,
+    /// Parameters (u, v) of the loop's points, on the rim of [0, 1]^2.
+    pub parameters: Vec<[f64; 2]>,
 }
 
 /// Half-width in pixels of the window in which a map is fitted by a plane at a border point.
@@ -93,8 +95,14 @@ impl BorderCurves {
             result.push(flat.iter().zip(&heights[k]).map(|(p, z)| Point3::new(p[0], p[1], *z)).collect());
         }
         let points = border.points.iter().zip(&z).map(|(p, z)| Point3::new(p[0], p[1], *z)).collect();
+        let mut on_rim = vec![[0.0; 2]; n];
+        for (k, side) in sides.iter().enumerate() {
+            for (&index, &t) in side.iter().zip(&parameters[k]) {
+                on_rim[index] = [[t, 0.0], [1.0, t], [1.0 - t, 1.0], [0.0, 1.0 - t]][k];
+            }
+        }
         let sides = result.try_into().expect("there are four sides");
-        Ok(Self { knots, sides, points })
+        Ok(Self { knots, sides, points, parameters: on_rim })
     }
 }
 

@@ -15,6 +15,7 @@ mod silhouette;
 mod synthetic;
 mod tensor;
 mod tessellate;
+mod unfold;
 
 pub use border::{BorderCurves, LayerMaps};
 pub use closest::{SurfaceFoot, SurfaceProjector};
@@ -25,5 +26,6 @@ pub use knots::{Basis, KnotVector, MAX_DEGREE};
 pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};
 pub use ray::{RayCaster, RayHit};
-pub use refine::{LayerSample, RefineOptions, RefineReport, Refined, SurfaceTargets, refine};
+pub use refine::{LayerSample, RefineOptions, RefineReport, Refined, SurfaceTargets, energy, refine};
 pub use tessellate::SurfaceMesh;
+pub use unfold::unfolded_net;

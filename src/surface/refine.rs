@@ -67,11 +67,15 @@ pub struct RefineReport {
     pub border_px: [f64; 2],
     /// Distance from the contour strokes to the surface's silhouette: mean and largest, pixels; zero without contours.
     pub contour_px: [f64; 2],
+    /// Distance from the surface's silhouette to the nearest contour or border stroke: mean and largest, pixels; zero
+    /// without silhouette. Large where the surface folds, or bulges over a stroke, without the sketch drawing it.
+    pub silhouette_px: [f64; 2],
     /// Largest depth difference at a depth sample, canonical units.
     pub sample_residual: f64,
     /// Depth samples whose line of sight misses their layer.
     pub samples_missed: usize,
-    /// Places where neighbouring normals (1/39 of the domain apart) point in opposite directions: folds and cusps.
+    /// Places where neighbouring normals (1/39 of the domain apart) point in opposite directions, without the turns from front
+    /// to back beside contour strokes: folds and cusps that the sketch does not draw.
     pub folds: usize,
     /// Share of the surface whose side facing the viewer is not drawn there, by the regions of the sketch.
     pub misfacing: f64,
@@ -107,9 +111,14 @@ const SLIDING_WEIGHT: f64 = 0.005;
 const BEYOND_WEIGHT: f64 = 0.03;
 /// Each corner.
 const CORNER_WEIGHT: f64 = 5.0;
-/// Contour strokes, mean over the silhouette. More makes matters worse: a strong pull on the few rows of control points at the
-/// fold bunches up their parameter lines.
-const CONTOUR_WEIGHT: f64 = 2.0;
+/// Silhouette to contour strokes, mean over the silhouette: takes away what the strokes do not show. More makes matters
+/// worse: a strong pull on the few rows of control points at the fold bunches up their parameter lines.
+const CONTOUR_WEIGHT: f64 = 0.5;
+/// Contour strokes to silhouette, mean over the strokes: every part of a stroke is there. On 40 held-out folds 8 leaves
+/// 0.36 px, 2 leaves 0.57.
+const COVERING_WEIGHT: f64 = 8.0;
+/// Distance of the places that are looked at, map pixels.
+const COVERING_STEP: f64 = 0.5;
 /// Each depth sample.
 const SAMPLE_WEIGHT: f64 = 5.0;
 /// Parts of the surface that project outside the regions of their orientation, squared distance.
@@ -139,6 +148,8 @@ const SAMPLE_STEEPEST: f64 = 0.2;
 const FIRST_STIFFNESS: f64 = 64.0;
 /// Gauss-Newton steps that are kept for unfolding.
 const UNFOLDING_ROUNDS: usize = 3;
+/// Shares of the way from the start that are tried where the whole way folds.
+const PARTS_OF_THE_WAY: [f64; 4] = [0.8, 0.6, 0.4, 0.2];
 /// Highest factor on the evenness of the parametrization.
 const STIFFEST: f64 = 512.0;
 /// Conjugate gradient steps for one Gauss-Newton step, and the share of the preconditioned residual that remains.
@@ -146,6 +157,8 @@ const CG_STEPS: usize = 14;
 const CG_TOLERANCE: f64 = 0.1;
 /// Sine of the angle between S_u and S_v below which a sample has no reliable normal.
 const FOLD_SINE: f64 = 0.1;
+/// A turn from front to back this near to a contour stroke, in map pixels, is the crease that the stroke draws.
+const CREASE_REACH: f64 = 1.5;
 /// A relative decrease of the energy below this ends the iteration.
 const CONVERGED: f64 = 2e-2;
 /// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
@@ -176,12 +189,16 @@ pub fn refine(
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
-        if !(value.is_finite() && value >= 0.0) {
-            return Err(Error::Argument { name, value: value.to_string(), expected: "a finite number, at least 0" });
-        }
-    }
     Refiner::new(start, targets, options)?.run(options.iterations, control)
+}
+
+/// The energy of `start` that [`refine`] would begin with: tells which of several starts fits the targets best.
+///
+/// # Errors
+/// As [`refine`].
+pub fn energy(start: &NurbsSurface, targets: &SurfaceTargets, options: &RefineOptions) -> Result<f64, Error> {
+    let refiner = Refiner::new(start, targets, options)?;
+    Ok(refiner.linearize(&refiner.start).energy)
 }
 
 impl LayerMaps {
@@ -300,6 +317,15 @@ enum Association {
 
 impl<'a> Refiner<'a> {
     fn new(start: &NurbsSurface, targets: &'a SurfaceTargets, options: &RefineOptions) -> Result<Self, Error> {
+        for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::Argument {
+                    name,
+                    value: value.to_string(),
+                    expected: "a finite number, at least 0",
+                });
+            }
+        }
         let knots = start.knots().clone();
         if start.weights().is_some() || knots.iter().any(|k| k.degree() != 3) {
             return Err(Error::Nurbs { reason: "refinement takes a cubic surface without weights".into() });
@@ -452,7 +478,7 @@ impl<'a> Refiner<'a> {
             }
         }
         if model.folds > allowed {
-            net = unfolded.unwrap_or_else(|| self.start.clone());
+            net = unfolded.unwrap_or_else(|| self.part_of_the_way(&net, allowed));
         }
         if self.stiffness > 1.0 || model.folds > allowed {
             self.stiffen(1.0);
@@ -465,6 +491,15 @@ impl<'a> Refiner<'a> {
         let surface = self.surface(&net);
         let report = self.report(&surface, &net, &model, first_energy, taken);
         Ok(Refined { surface, report })
+    }
+
+    /// The start, moved towards `net` as far as no new fold appears.
+    fn part_of_the_way(&self, net: &[f64], allowed: usize) -> Vec<f64> {
+        let mut parts = PARTS_OF_THE_WAY.iter().map(|share| {
+            let mixed = self.start.iter().zip(net).map(|(a, b)| a + share * (b - a));
+            mixed.collect::<Vec<f64>>()
+        });
+        parts.find(|mixed| self.linearize(mixed).folds <= allowed).unwrap_or_else(|| self.start.clone())
     }
 
     fn surface(&self, net: &[f64]) -> NurbsSurface {
@@ -580,7 +615,7 @@ impl<'a> Refiner<'a> {
             }
         }
         energy += self.border_term(&planes, &mut weights, &mut slopes);
-        let folds = self.count_folds(&normals);
+        let folds = self.count_folds(&normals, &planes);
 
         let surface = self.surface_or_none(net);
         let mut rows = vec![];
@@ -785,6 +820,34 @@ impl<'a> Refiner<'a> {
             let direction = Vector3::new(foot.normal[0], foot.normal[1], 0.0);
             rows.push(Row { bases: point.bases, direction, weight, residual: across });
         }
+        energy + self.covering_term(&points, rows)
+    }
+
+    /// Every place of the contour strokes has silhouette near it: a fold must not be ironed out, nor end early.
+    fn covering_term(&self, points: &[silhouette::SilhouettePoint], rows: &mut Vec<Row>) -> f64 {
+        let pieces = silhouette::pieces(points, &self.grid);
+        let step = COVERING_STEP * self.targets.maps.visible.pixel();
+        let places: Vec<[f64; 2]> = self
+            .contours
+            .iter()
+            .flat_map(|(line, _)| {
+                let count = (line.length() / step).ceil().max(1.0) as usize;
+                (0..=count).map(move |i| line.at(line.length() * i as f64 / count as f64))
+            })
+            .collect();
+        let weight = COVERING_WEIGHT / places.len().max(1) as f64;
+        let mut energy = 0.0;
+        for p in places {
+            let (nearest, distance) = Self::nearest_piece(p, points, &pieces)
+                .map_or((None, 2.0 * self.targets.maps.visible.half_extent), |(nearest, d)| (Some(nearest), d));
+            let ratio = (distance / ROBUST_CONTOUR).powi(2);
+            energy += weight * ROBUST_CONTOUR * ROBUST_CONTOUR * ratio.ln_1p();
+            let Some(point) = nearest.map(|k| &points[k]) else { continue };
+            // The silhouette moves along its projected normal only.
+            let direction = Vector3::new(point.inward[0], point.inward[1], 0.0);
+            let residual = direction.x * (point.position[0] - p[0]) + direction.y * (point.position[1] - p[1]);
+            rows.push(Row { bases: point.bases, direction, weight: weight / (1.0 + ratio), residual });
+        }
         energy
     }
 
@@ -857,15 +920,28 @@ impl<'a> Refiner<'a> {
         Some([u, v])
     }
 
-    /// Neighbouring samples whose normals point in opposite directions; zero where there is none.
-    fn count_folds(&self, normals: &[Vector3<f64>]) -> usize {
+    /// Neighbouring samples whose normals point in opposite directions, but for the creases that the sketch draws: the
+    /// turn from front to back beside a contour stroke may be sharper than the grid.
+    fn count_folds(&self, normals: &[Vector3<f64>], planes: &[GridPlanes; 3]) -> usize {
         let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
+        let reach = CREASE_REACH * self.targets.maps.visible.pixel();
+        let drawn = |k: usize| {
+            let p = [planes[0].value[k], planes[1].value[k]];
+            let near = |(line, _): &(Polyline, f64)| {
+                line.nearest(p, [0.0, f64::INFINITY]).is_some_and(|foot| foot.distance < reach)
+            };
+            self.contours.iter().any(near)
+        };
+        let folded = |k: usize, q: usize| {
+            let (a, b) = (normals[k], normals[q]);
+            a.dot(&b) < 0.0 && !(a.z * b.z < 0.0 && (drawn(k) || drawn(q)))
+        };
         let mut folds = 0;
         for a in 0..mu {
             for b in 0..mv {
                 let k = a * mv + b;
-                let right = b + 1 < mv && normals[k].dot(&normals[k + 1]) < 0.0;
-                let below = a + 1 < mu && normals[k].dot(&normals[k + mv]) < 0.0;
+                let right = b + 1 < mv && folded(k, k + 1);
+                let below = a + 1 < mu && folded(k, k + mv);
                 folds += usize::from(right) + usize::from(below);
             }
         }
@@ -1006,15 +1082,21 @@ impl<'a> Refiner<'a> {
 
         let facing = silhouette::facing(&planes);
         let points = silhouette::crossings(surface, &self.grid, &facing);
+        let pieces = silhouette::pieces(&points, &self.grid);
         let mut distances = vec![];
         for (line, _) in &self.contours {
-            for p in &line.points {
-                // The silhouette as a set of short pieces: neighbouring crossings of one grid cell.
-                let nearest = self.silhouette_distance(*p, &points);
-                distances.push(nearest);
-            }
+            let nearest = |p: &[f64; 2]| Self::nearest_piece(*p, &points, &pieces).map(|(_, distance)| distance);
+            // No silhouette at all: as far as the canvas is wide.
+            let widest = 2.0 * self.targets.maps.visible.half_extent;
+            distances.extend(line.points.iter().map(|p| nearest(p).unwrap_or(widest)));
         }
         let contour_px = summarize(&distances);
+        let lines = || self.contours.iter().map(|(line, _)| line).chain(&self.strokes);
+        let to_strokes = |point: &silhouette::SilhouettePoint| {
+            let feet = lines().filter_map(|line| line.nearest(point.position, whole));
+            feet.map(|foot| foot.distance).fold(f64::INFINITY, f64::min)
+        };
+        let silhouette_px = summarize(&points.iter().map(to_strokes).collect::<Vec<f64>>());
 
         let (mut sample_residual, mut samples_missed) = (0f64, 0);
         for sample in &self.targets.samples {
@@ -1042,6 +1124,7 @@ impl<'a> Refiner<'a> {
             energy: [first_energy, model.energy],
             border_px,
             contour_px,
+            silhouette_px,
             sample_residual,
             samples_missed,
             folds: model.folds,
@@ -1050,24 +1133,17 @@ impl<'a> Refiner<'a> {
         }
     }
 
-    /// Distance from `p` to the line through the two nearest silhouette points, or to the nearest one beyond them.
-    fn silhouette_distance(&self, p: [f64; 2], points: &[silhouette::SilhouettePoint]) -> f64 {
-        let mut nearest = [(f64::INFINITY, [0.0; 2]); 2];
-        for point in points {
-            let q = point.position;
-            let distance = (q[0] - p[0]).hypot(q[1] - p[1]);
-            if distance < nearest[0].0 {
-                nearest = [(distance, q), nearest[0]];
-            } else if distance < nearest[1].0 {
-                nearest[1] = (distance, q);
-            }
-        }
-        if nearest[0].0.is_infinite() {
-            // No silhouette at all: as far as the canvas is wide.
-            return 2.0 * self.targets.maps.visible.half_extent;
-        }
-        let segment = Polyline::new(nearest.iter().filter(|n| n.0.is_finite()).map(|n| n.1));
-        segment.nearest(p, [0.0, f64::INFINITY]).map_or(nearest[0].0, |foot| foot.distance)
+    /// The crossing nearest to `p` among the ends of the nearest piece of the silhouette, and the distance of the piece.
+    fn nearest_piece(
+        p: [f64; 2],
+        points: &[silhouette::SilhouettePoint],
+        pieces: &[[usize; 2]],
+    ) -> Option<(usize, f64)> {
+        let distances = pieces.iter().map(|&[a, b]| {
+            let (t, distance) = silhouette::nearest_on_segment(p, points[a].position, points[b].position);
+            (if t < 0.5 { a } else { b }, distance)
+        });
+        distances.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 }
 
@@ -1124,7 +1200,7 @@ fn add(a: &mut [f64], b: &[f64]) {
 #[cfg(test)]
 mod tests {
     use super::super::synthetic::{self, Scene};
-    use super::super::{BorderCurves, SurfaceProjector, coons_net};
+    use super::super::{BorderCurves, SurfaceProjector, coons_net, unfolded_net};
     use super::*;
 
     fn targets(scene: &Scene) -> SurfaceTargets {
@@ -1188,19 +1264,24 @@ mod tests {
     }
 
     #[test]
-    fn a_folded_vault_is_recovered_from_a_bent_start_and_from_the_coons_patch() {
+    fn a_folded_vault_is_recovered_from_a_bent_start_and_from_the_unfolded_maps() {
         let scene = synthetic::scene(synthetic::vault());
         let targets = targets(&scene);
-        for start in [start_of(&scene, 0.3), coons(&targets)] {
-            assert!(deviation(&start, &scene.truth)[0] > 0.1);
+        let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
+        let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps).unwrap();
+        let unfolded = NurbsSurface::new(curves.knots, net, None).unwrap();
+        // Rms and largest deviation, mean and largest miss of border and contours, pixels.
+        let far = (start_of(&scene, 0.3), [0.03, 0.2], [0.3, 3.0]);
+        let near = (unfolded, [0.015, 0.25], [0.1, 1.0]);
+        for (start, [most_rms, most], [mean_px, max_px]) in [far, near] {
             let refined = run(&start, &targets);
             let [rms, largest] = deviation(&refined.surface, &scene.truth);
-            assert!(rms < 0.02 && largest < 0.25, "{rms} {largest}");
+            assert!(rms < most_rms && largest < most, "{rms} {largest}");
+            assert!(rms < deviation(&start, &scene.truth)[0]);
             let report = refined.report;
-            assert!(
-                report.border_px[0] < 0.1 && report.contour_px[0] < 0.2 && report.contour_px[1] < 2.5,
-                "{report:?}"
-            );
+            for [mean, max] in [report.border_px, report.contour_px] {
+                assert!(mean < mean_px && max < max_px, "{report:?}");
+            }
             assert!(report.folds == 0 && report.misfacing < 0.005, "{report:?}");
         }
     }
@@ -1238,6 +1319,27 @@ mod tests {
         // The corner of the near side, far from both.
         let [u, v] = plain.at_fraction(0.97, 0.95);
         assert!((plain.point(u, v) - refined.surface.point(u, v)).norm() < 0.05);
+    }
+
+    #[test]
+    fn moving_a_depth_sample_moves_the_surface_continuously() {
+        let scene = synthetic::scene(synthetic::vault());
+        let mut targets = targets(&scene);
+        let mesh = crate::surface::SurfaceMesh::new(&scene.truth, [100, 100]).unwrap();
+        let caster = crate::surface::RayCaster::new(&mesh, [Vector3::x(), Vector3::y(), Vector3::z()]);
+        let visible = caster.hits(-2.0, -1.0)[0].depth;
+        let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
+        let mut at = |offset: f64| {
+            targets.samples = vec![LayerSample { position: [-2.0, -1.0], occluded: false, depth: visible + offset }];
+            let maps = targets.maps.meeting(&targets.samples);
+            let net = unfolded_net(&targets.border, &curves, &targets.contours, &maps).unwrap();
+            run(&NurbsSurface::new(curves.knots.clone(), net, None).unwrap(), &targets).surface
+        };
+        // How far the surface moves, not its parameters, which no one sees.
+        let moved = |a: &NurbsSurface, b: &NurbsSurface| deviation(a, b)[1];
+        let (base, little, more) = (at(0.2), at(0.201), at(0.3));
+        assert!(moved(&base, &little) < 0.01 && moved(&base, &more) > 0.05, "{}", moved(&base, &little));
+        assert!(moved(&base, &more) < 0.4);
     }
 
     #[test]

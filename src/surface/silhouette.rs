@@ -7,6 +7,8 @@ use super::tensor::{GridPlanes, TensorGrid};
 /// A point of the silhouette: S_u x S_v has no z component.
 #[derive(Clone, Copy, Debug)]
 pub struct SilhouettePoint {
+    /// The grid line that it lies on: twice the sample at its beginning, plus 1 if it runs along u.
+    pub edge: usize,
     /// Basis functions there, in u and v.
     pub bases: [Basis; 2],
     /// Projected position (x, y).
@@ -34,20 +36,45 @@ pub fn crossings(surface: &NurbsSurface, grid: &TensorGrid, facing: &[f64]) -> V
             let k = a * mv + b;
             if b + 1 < mv && facing[k] * facing[k + 1] < 0.0 {
                 let range = [av.parameters[b], av.parameters[b + 1]];
-                result.push(root(surface, 1, au.parameters[a], range, [facing[k], facing[k + 1]]));
+                result.push(root(surface, 2 * k, au.parameters[a], range, [facing[k], facing[k + 1]]));
             }
             if a + 1 < mu && facing[k] * facing[k + mv] < 0.0 {
                 let range = [au.parameters[a], au.parameters[a + 1]];
-                result.push(root(surface, 0, av.parameters[b], range, [facing[k], facing[k + mv]]));
+                result.push(root(surface, 2 * k + 1, av.parameters[b], range, [facing[k], facing[k + mv]]));
             }
         }
     }
     result
 }
 
-/// Regula falsi (Illinois) along parameter `axis`, the other one fixed.
-fn root(surface: &NurbsSurface, axis: usize, fixed: f64, range: [f64; 2], values: [f64; 2]) -> SilhouettePoint {
-    let at = |t: f64| if axis == 0 { [t, fixed] } else { [fixed, t] };
+/// The pieces of the silhouette within the cells of the grid, as pairs of indices of crossings.
+pub fn pieces(points: &[SilhouettePoint], grid: &TensorGrid) -> Vec<[usize; 2]> {
+    let (mu, mv) = (grid.axes[0].len(), grid.axes[1].len());
+    let find = |edge: usize| points.binary_search_by_key(&edge, |p| p.edge).ok();
+    let mut result = vec![];
+    for point in points {
+        // Each cell is looked at from its first crossing: with its corner k, or from above or the left of it.
+        let (k, along_u) = (point.edge / 2, point.edge % 2 == 1);
+        let before = if along_u { (k % mv > 0).then(|| k - 1) } else { (k / mv > 0).then(|| k - mv) };
+        for cell in [Some(k), before].into_iter().flatten() {
+            if cell / mv + 1 >= mu || cell % mv + 1 >= mv {
+                continue;
+            }
+            // Around the cell, so that where four edges are crossed neighbours are joined.
+            let edges = [2 * cell, 2 * (cell + 1) + 1, 2 * (cell + mv), 2 * cell + 1];
+            let crossed: Vec<usize> = edges.iter().filter_map(|&edge| find(edge)).collect();
+            let first = edges.iter().find(|&&edge| find(edge).is_some());
+            if first == Some(&point.edge) {
+                result.extend(crossed.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
+            }
+        }
+    }
+    result
+}
+
+/// Regula falsi (Illinois) along a line of the grid, the other parameter fixed.
+fn root(surface: &NurbsSurface, edge: usize, fixed: f64, range: [f64; 2], values: [f64; 2]) -> SilhouettePoint {
+    let at = |t: f64| if edge % 2 == 1 { [t, fixed] } else { [fixed, t] };
     let ([mut a, mut b], [mut fa, mut fb]) = (range, values);
     let mut t = 0.5 * (a + b);
     for _ in 0..ROOT_STEPS {
@@ -74,7 +101,16 @@ fn root(surface: &NurbsSurface, axis: usize, fixed: f64, range: [f64; 2], values
     let normal = p.du.cross(&p.dv);
     let bend = normal.dot(&(p.duu * (a * a) + p.duv * (2.0 * a * b) + p.dvv * (b * b)));
     let inward = [normal.x, normal.y].map(|n| n * bend.signum() / normal.x.hypot(normal.y).max(f64::MIN_POSITIVE));
-    SilhouettePoint { bases, position: [p.position.x, p.position.y], inward }
+    SilhouettePoint { edge, bases, position: [p.position.x, p.position.y], inward }
+}
+
+/// The point nearest to `p` on the line from `a` to `b`: the share of the way, and the distance.
+pub fn nearest_on_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
+    let d = [b[0] - a[0], b[1] - a[1]];
+    let squared = d[0] * d[0] + d[1] * d[1];
+    let along = (p[0] - a[0]) * d[0] + (p[1] - a[1]) * d[1];
+    let t = if squared > 0.0 { (along / squared).clamp(0.0, 1.0) } else { 0.0 };
+    (t, (p[0] - a[0] - t * d[0]).hypot(p[1] - a[1] - t * d[1]))
 }
 
 /// An open polyline in the canvas plane, and the nearest point on it.

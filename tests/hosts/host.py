@@ -5,6 +5,7 @@ usage: host.py SKETCH.json
 
 import gc
 import re
+import resource
 import sys
 import threading
 from pathlib import Path
@@ -219,11 +220,41 @@ def progress_and_cancel(session):
     session.surface(drawn(SQUARE))
 
 
+def pen_moves_leave_no_memory(session, moves=30):
+    """A surface for every move of the pen, some of them cancelled: the process stays as large as it was."""
+
+    def resident():
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+
+    def move(k):
+        points = SQUARE.copy()
+        points[6] += (15 * np.sin(0.3 * k), 10 * np.cos(0.2 * k))
+        if k % 5 == 4:
+            session.cancel()
+            raises(s.Cancelled, session.surface, drawn(points))
+        else:
+            session.surface(drawn(points))
+
+    for k in range(moves // 3):
+        move(k)
+    gc.collect()
+    before = resident()
+    for k in range(moves):
+        move(k)
+    gc.collect()
+    # A leaked surface would be 60 kB a move, its maps half a megabyte.
+    assert resident() - before < 1 << 20, (resident() - before) >> 10
+
+
 def main():
     mirrors_the_header()
     session = s.Session(backend="embedded")
     assert "rten" in session.backend
-    for test in (broken_sketches, moves_and_scales_exactly, own_surface, own_panels, arguments, progress_and_cancel):
+    tests = (
+        broken_sketches, moves_and_scales_exactly, own_surface, own_panels, arguments, progress_and_cancel, pen_moves_leave_no_memory,
+    )
+    for test in tests:
         test(session)
     the_pipeline(session, sys.argv[1])
     print("host.py: all checks passed")

@@ -1,0 +1,514 @@
+//! A first surface for a sketch with folds: both layers glued along the contours, flattened, and fitted.
+
+use super::border::{BorderCurves, LayerMaps};
+use super::corners::BorderLoop;
+use super::layer_map::LayerMap;
+use super::tensor::gram;
+use crate::error::Error;
+use crate::numeric::Cholesky;
+use nalgebra::{DMatrix, Point3, Vector3};
+use sprs::CsMat;
+
+/// Least |z| of a unit normal in the metric: at a contour the slope is infinite, a pixel's is not.
+const LEAST_FACING: f64 = 0.15;
+/// Least distance, in pixels, of a pixel's centre from the line that ends its sheet.
+const LEAST_DISTANCE: f64 = 0.1;
+/// An arc over its chord, where the sheet turns around a fold.
+const ARC: f64 = 1.1;
+/// Least conductance between neighbours: where the slope changes much, the diagonals may take more than there was.
+const LEAST_CONDUCTANCE: f64 = 0.02;
+/// Pull of each pixel to the middle of the parameter square, for pieces that nothing else holds.
+const HOLD: f64 = 1e-7;
+/// Smoothness of the fitted net: weight of the integrals of S_uuu^2 + S_vvv^2 over the unit square against the mean squared
+/// distance to the samples. Waves beyond about three and a half a side are damped: 1 / (2 pi 3.4)^6.
+const SMOOTHING: f64 = 1e-8;
+
+/// Control net of a surface through both layers that folds where the contours are.
+///
+/// Every pixel of a layer is a vertex. Neighbours are joined across the regions by what the strokes say: a visible border
+/// ends the visible sheet and the occluded one comes to light beyond it, an occluded border ends the occluded sheet, and at
+/// a contour the two layers of a pixel are joined to each other, through the air between them. That graph is a disk; its
+/// rim lies on the border strokes, whose parameters are known. A discretely harmonic map, in the metric of the normals,
+/// spreads the parameters over the disk, which no fold of the canvas disturbs, and a smooth net is fitted to the pixels'
+/// points over them. All weights are positive, so the map is the embedding of Tutte and Floater where the graph is planar.
+///
+/// - `contours`: contour strokes, polylines (x, y).
+/// - `maps`: both layers, corrected to the depth samples if there are any.
+/// - returns count_u * count_v points, v running fastest, canonical frame; the rim is that of `curves`.
+///
+/// # Errors
+/// [`Error::Singular`] if a system cannot be solved, which no finite input causes.
+///
+/// # Source
+/// Floater, "Parametrization and smooth approximation of surface triangulations", 1997, on the two-layer maps of Sketch2PQ.
+pub fn unfolded_net(
+    border: &BorderLoop,
+    curves: &BorderCurves,
+    contours: &[Vec<[f64; 2]>],
+    maps: &LayerMaps,
+) -> Result<Vec<Point3<f64>>, Error> {
+    let sheet = Sheet::new(border, curves, contours, maps);
+    let parameters = sheet.flatten()?;
+    fit(curves, &sheet.samples(&parameters))
+}
+
+/// Where a stroke crosses the line between the centres of two neighbouring pixels.
+struct Crossing {
+    /// The line: pixel * 2, plus 1 if it runs to the row below rather than to the next column.
+    link: usize,
+    /// Share of the line before the crossing.
+    at: f64,
+    line: Line,
+}
+
+#[derive(Clone, Copy)]
+enum Line {
+    Border {
+        parameters: [f64; 2],
+        occluded: bool,
+        /// Whether the line's first pixel lies on the left of the border.
+        left: bool,
+    },
+    /// With |cosine| of the angle between its normal and the line.
+    Contour(f64),
+}
+
+/// The graph of all pixels of both layers.
+struct Sheet<'a> {
+    maps: [&'a LayerMap; 2],
+    /// For each layer the vertex of each pixel, or `NONE`.
+    vertices: [Vec<u32>; 2],
+    count: usize,
+    /// Layer and pixel of each vertex.
+    places: Vec<(usize, usize)>,
+    links: Vec<(u32, u32, f64)>,
+    /// Vertices held by a point of the rim.
+    held: Vec<(u32, [f64; 2], f64)>,
+    /// The two vertices joined at a contour, and the point between them.
+    turns: Vec<(u32, u32, Point3<f64>)>,
+}
+
+const NONE: u32 = u32::MAX;
+
+impl<'a> Sheet<'a> {
+    fn new(border: &BorderLoop, curves: &BorderCurves, contours: &[Vec<[f64; 2]>], maps: &'a LayerMaps) -> Self {
+        let maps = [&maps.visible, &maps.occluded];
+        let mut places = vec![];
+        let vertices = [0, 1].map(|layer: usize| {
+            let mut ids = vec![NONE; maps[layer].valid.len()];
+            for pixel in (0..ids.len()).filter(|&pixel| maps[layer].valid[pixel]) {
+                ids[pixel] = places.len() as u32;
+                places.push((layer, pixel));
+            }
+            ids
+        });
+        let count = places.len();
+        let mut sheet = Self { maps, vertices, count, places, links: vec![], held: vec![], turns: vec![] };
+        let crossings = crossings(maps[0], border, curves, contours);
+        sheet.join(&crossings);
+        sheet
+    }
+
+    fn exists(&self, layer: usize, pixel: usize) -> bool {
+        self.maps[layer].valid[pixel]
+    }
+
+    fn layers(&self, pixel: usize) -> usize {
+        usize::from(self.exists(0, pixel)) + usize::from(self.exists(1, pixel))
+    }
+
+    fn point(&self, vertex: u32) -> Point3<f64> {
+        let (layer, pixel) = self.places[vertex as usize];
+        let [x, y] = self.maps[layer].center(pixel);
+        Point3::new(x, y, -self.maps[layer].depth[pixel])
+    }
+
+    /// Conductance of the sheet at a vertex in x, in y, and along the diagonal: the tensor sqrt(det g) g^-1 of its metric
+    /// g, split into directions. The diagonal rises where the last is positive.
+    fn conductance(&self, vertex: u32) -> [f64; 3] {
+        let (layer, pixel) = self.places[vertex as usize];
+        let normal: Vector3<f64> = self.maps[layer].normal[pixel];
+        let across = normal.x.hypot(normal.y);
+        if across < 1e-6 {
+            return [1.0, 1.0, 0.0];
+        }
+        let (ex, ey) = (normal.x / across, normal.y / across);
+        let facing = normal.z.abs().max(LEAST_FACING);
+        // Along the slope ways are longer by 1 / facing, across it the sheet is wider by as much.
+        let (along, wide) = (facing, 1.0 / facing);
+        let (xx, yy) = (along * ex * ex + wide * ey * ey, along * ey * ey + wide * ex * ex);
+        let limit = 0.9 * xx.min(yy);
+        let xy = ((along - wide) * ex * ey).clamp(-limit, limit);
+        [xx, yy, xy]
+    }
+
+    fn join(&mut self, crossings: &[Crossing]) {
+        let n = self.maps[0].size;
+        let on = |link: usize| {
+            let first = crossings.partition_point(|c| c.link < link);
+            let last = crossings.partition_point(|c| c.link <= link);
+            &crossings[first..last]
+        };
+        for pixel in 0..n * n {
+            let (row, column) = (pixel / n, pixel % n);
+            for down in [0, 1] {
+                let other = if down == 0 { pixel + 1 } else { pixel + n };
+                if (down == 0 && column + 1 == n) || (down == 1 && row + 1 == n) {
+                    continue;
+                }
+                let between = on(2 * pixel + down);
+                match (between.first(), between.last()) {
+                    (Some(first), Some(last)) => {
+                        let single = between.len() == 1;
+                        self.end(pixel, other, down, first.at, first.line, true, single);
+                        self.end(other, pixel, down, 1.0 - last.at, last.line, false, single);
+                    }
+                    _ => self.continue_freely(pixel, other, down),
+                }
+            }
+            // Diagonals only where nothing is drawn around.
+            if column + 1 < n && row + 1 < n {
+                let (right, below, far) = (pixel + 1, pixel + n, pixel + n + 1);
+                let free = [2 * pixel, 2 * pixel + 1, 2 * below, 2 * right + 1].iter().all(|&link| on(link).is_empty());
+                for layer in 0..2 {
+                    let same =
+                        |a: usize| self.exists(layer, a) && self.maps[layer].front[a] == self.maps[layer].front[pixel];
+                    if free && [pixel, right, below, far].into_iter().all(same) {
+                        let [a, b, c, d] = [pixel, far, right, below].map(|k| self.vertices[layer][k]);
+                        let falling = 0.5 * (self.conductance(a)[2] + self.conductance(b)[2]);
+                        let rising = 0.5 * (self.conductance(c)[2] + self.conductance(d)[2]);
+                        // In x, y the way from a pixel to the next one below on the right falls. What goes along a
+                        // diagonal is taken from the sides of its cell.
+                        for (ends, weight) in [([a, b], -falling), ([c, d], rising)] {
+                            if weight > 0.0 {
+                                self.links.push((ends[0], ends[1], weight));
+                                for (p, q) in [(a, c), (a, d), (c, b), (d, b)] {
+                                    self.links.push((p, q, -0.5 * weight));
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn link(&mut self, a: u32, b: u32, down: usize) {
+        let weight = 0.5 * (self.conductance(a)[down] + self.conductance(b)[down]);
+        self.links.push((a, b, weight));
+    }
+
+    /// No stroke between two pixels: sheets of one layer and orientation continue.
+    fn continue_freely(&mut self, p: usize, q: usize, down: usize) {
+        let mut taken = [false; 2];
+        for layer in 0..2 {
+            if !self.exists(layer, p) {
+                continue;
+            }
+            let front = self.maps[layer].front[p];
+            let fits = |other: usize| self.exists(other, q) && self.maps[other].front[q] == front && !taken[other];
+            // Masks are decided by half a pixel: the other layer where they disagree.
+            if let Some(other) = [layer, 1 - layer].into_iter().find(|&other| fits(other)) {
+                taken[other] = true;
+                self.link(self.vertices[layer][p], self.vertices[other][q], down);
+            }
+        }
+    }
+
+    /// A stroke lies `at` of the way from `p` to `q`.
+    ///
+    /// - `forward`: whether `p` is the first pixel of the link; it alone adds what continues.
+    /// - `single`: whether this is the only stroke on the way.
+    #[expect(clippy::too_many_arguments, reason = "one call site, each is a fact of the crossing")]
+    fn end(&mut self, p: usize, q: usize, down: usize, at: f64, line: Line, forward: bool, single: bool) {
+        let at = at.max(LEAST_DISTANCE);
+        match line {
+            Line::Contour(cosine) => {
+                if self.layers(p) < 2 || (single && self.layers(q) == 2) {
+                    return;
+                }
+                let pixel = self.maps[0].pixel();
+                let [a, b] = [0, 1].map(|layer| self.vertices[layer][p]);
+                let (above, below) = (self.point(a), self.point(b));
+                let way = ARC * (above.z - below.z).hypot(2.0 * at * pixel);
+                self.links.push((a, b, cosine * pixel / way));
+                let mut between = nalgebra::center(&above, &below);
+                let sign = if forward { at } else { -at };
+                if down == 0 {
+                    between.x += sign * pixel;
+                } else {
+                    between.y -= sign * pixel;
+                }
+                self.turns.push((a, b, between));
+            }
+            Line::Border { parameters, occluded, left } => {
+                let layer = usize::from(occluded);
+                let left = left == forward;
+                let (here, there) = (self.layers(p), self.layers(q));
+                // The side with more layers; where that is not said, the side on which the border's front lies.
+                let owns = self.exists(layer, p)
+                    && if single && here != there { here > there } else { self.maps[layer].front[p] == left };
+                if owns {
+                    let vertex = self.vertices[layer][p];
+                    let weight = self.conductance(vertex)[down] / at;
+                    self.held.push((vertex, parameters, weight));
+                }
+                // The sheet that does not end here.
+                let other = 1 - layer;
+                if owns && single && self.exists(other, p) && self.exists(0, q) {
+                    self.link(self.vertices[other][p], self.vertices[0][q], down);
+                }
+            }
+        }
+    }
+
+    /// Parameters (u, v) of all vertices: the harmonic map with the rim held.
+    fn flatten(&self) -> Result<Vec<[f64; 2]>, Error> {
+        let n = self.count;
+        let mut diagonal = vec![HOLD; n];
+        let mut right = vec![0.5 * HOLD; 2 * n];
+        for &(vertex, [u, v], weight) in &self.held {
+            let k = vertex as usize;
+            diagonal[k] += weight;
+            right[k] += weight * u;
+            right[n + k] += weight * v;
+        }
+        let mut below: Vec<(u32, u32, f64)> =
+            self.links.iter().filter(|(a, b, _)| a != b).map(|&(a, b, w)| (a.min(b), a.max(b), w)).collect();
+        below.sort_unstable_by_key(|&(a, b, _)| (a, b));
+        below.dedup_by(|later, first| {
+            let same = (later.0, later.1) == (first.0, first.1);
+            if same {
+                first.2 += later.2;
+            }
+            same
+        });
+        for (a, b, weight) in &mut below {
+            *weight = weight.max(LEAST_CONDUCTANCE);
+            diagonal[*a as usize] += *weight;
+            diagonal[*b as usize] += *weight;
+        }
+        let (mut starts, mut rows, mut values) = (vec![0], vec![], vec![]);
+        let mut next = below.iter().peekable();
+        for (k, &d) in diagonal.iter().enumerate() {
+            rows.push(k);
+            values.push(d);
+            while let Some(&&(_, row, weight)) = next.peek().filter(|(column, ..)| *column as usize == k) {
+                rows.push(row as usize);
+                values.push(-weight);
+                next.next();
+            }
+            starts.push(rows.len());
+        }
+        let matrix = CsMat::new_csc((n, n), starts, rows, values);
+        Cholesky::new(&matrix, "unfolding")?.solve(&mut right);
+        Ok((0..n).map(|k| [right[k], right[n + k]]).collect())
+    }
+
+    /// Parameters and points that the surface should pass through: pixels, and the folds between them.
+    fn samples(&self, parameters: &[[f64; 2]]) -> Vec<([f64; 2], Point3<f64>)> {
+        let pixels = (0..self.count as u32).map(|k| (parameters[k as usize], self.point(k)));
+        let turns = self.turns.iter().map(|&(a, b, point)| {
+            let [p, q] = [a, b].map(|k| parameters[k as usize]);
+            ([0, 1].map(|c| 0.5 * (p[c] + q[c])), point)
+        });
+        pixels.chain(turns).collect()
+    }
+}
+
+/// All crossings of strokes with the lines between neighbouring pixels, sorted by line and place.
+fn crossings(map: &LayerMap, border: &BorderLoop, curves: &BorderCurves, contours: &[Vec<[f64; 2]>]) -> Vec<Crossing> {
+    let n = border.points.len();
+    let mut result = vec![];
+    for i in 0..n {
+        let j = (i + 1) % n;
+        let occluded = border.occluded[i];
+        let [a, b] = [i, j].map(|k| map.to_pixels(border.points[k]));
+        cross_segment(map.size, a, b, |link, at, t, down| {
+            let parameters = [0, 1].map(|c| curves.parameters[i][c] * (1.0 - t) + curves.parameters[j][c] * t);
+            // The pixel before the crossing is the left one, or the upper one; rows grow downwards.
+            let left = if down == 0 { b[1] < a[1] } else { b[0] > a[0] };
+            let line = Line::Border { parameters, occluded, left };
+            result.push(Crossing { link, at, line });
+        });
+    }
+    for contour in contours {
+        for pair in contour.windows(2) {
+            let [a, b] = [pair[0], pair[1]].map(|p| map.to_pixels(p));
+            let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+            cross_segment(map.size, a, b, |link, at, _, down| {
+                let cosine = if down == 0 { b[1] - a[1] } else { b[0] - a[0] };
+                result.push(Crossing { link, at, line: Line::Contour((cosine / length).abs()) });
+            });
+        }
+    }
+    result.sort_by(|a, b| a.link.cmp(&b.link).then(a.at.total_cmp(&b.at)));
+    result
+}
+
+/// Calls `found` with link, share of the link, share of the segment and direction for each grid line that the segment from
+/// `a` to `b` crosses, in pixels: [column, row].
+fn cross_segment(n: usize, a: [f64; 2], b: [f64; 2], mut found: impl FnMut(usize, f64, f64, usize)) {
+    for down in 0..2 {
+        // Lines to the right are met where the row is whole, lines downwards where the column is.
+        let fixed = 1 - down;
+        let (low, high) = (a[fixed].min(b[fixed]), a[fixed].max(b[fixed]));
+        let mut whole = low.floor() + 1.0;
+        while whole <= high {
+            let t = (whole - a[fixed]) / (b[fixed] - a[fixed]);
+            let along = a[down] + t * (b[down] - a[down]);
+            let before = along.floor();
+            let last = (n - 1) as f64;
+            if (0.0..last).contains(&before) && (0.0..=last).contains(&whole) {
+                let (row, column) = if down == 0 { (whole, before) } else { (before, whole) };
+                found(2 * (row as usize * n + column as usize) + down, along - before, t, down);
+            }
+            whole += 1.0;
+        }
+    }
+}
+
+/// The net with the rim of `curves` that passes near the samples, smoothly.
+fn fit(curves: &BorderCurves, samples: &[([f64; 2], Point3<f64>)]) -> Result<Vec<Point3<f64>>, Error> {
+    let knots = &curves.knots;
+    let start = super::coons_net(curves);
+    let (rows, columns) = (knots[0].count(), knots[1].count());
+    let inner = |k: usize| {
+        let (i, j) = (k / columns, k % columns);
+        (i > 0 && j > 0 && i + 1 < rows && j + 1 < columns).then(|| (i - 1) * (columns - 2) + j - 1)
+    };
+    let unknowns = (rows - 2) * (columns - 2);
+    // Entry [k][7 (di + 3) + dj + 3] couples control points k and k + (di, dj); a cubic reaches no farther.
+    const REACH: usize = 7;
+    let mut band = vec![[0.0; REACH * REACH]; rows * columns];
+    let mut right = vec![Vector3::zeros(); rows * columns];
+    let share = 1.0 / samples.len().max(1) as f64;
+    for ([u, v], point) in samples {
+        let [bu, bv] = [knots[0].basis(u.clamp(0.0, 1.0)), knots[1].basis(v.clamp(0.0, 1.0))];
+        for a in 0..16 {
+            let (i, j) = (a / 4, a % 4);
+            let k = (bu.first + i) * columns + bv.first + j;
+            let weight = share * bu.values[0][i] * bv.values[0][j];
+            right[k] += point.coords * weight;
+            for b in 0..16 {
+                let (p, q) = (b / 4, b % 4);
+                band[k][REACH * (p + 3 - i) + q + 3 - j] += weight * bu.values[0][p] * bv.values[0][q];
+            }
+        }
+    }
+    let [mass, third] = [0, 3].map(|order| [0, 1].map(|axis: usize| gram(&knots[axis], order)));
+    let couple = |m: &DMatrix<f64>, i: usize, j: usize| if i.abs_diff(j) > 3 { 0.0 } else { m[(i, j)] };
+    for i in 0..rows {
+        for j in 0..columns {
+            for p in i.saturating_sub(3)..(i + 4).min(rows) {
+                for q in j.saturating_sub(3)..(j + 4).min(columns) {
+                    let value = couple(&third[0], i, p) * couple(&mass[1], j, q)
+                        + couple(&mass[0], i, p) * couple(&third[1], j, q);
+                    band[i * columns + j][REACH * (p + 3 - i) + q + 3 - j] += SMOOTHING * value;
+                }
+            }
+        }
+    }
+    let (mut starts, mut indices, mut values) = (vec![0], vec![], vec![]);
+    let mut columns_of_right = vec![0.0; 3 * unknowns];
+    for k in 0..rows * columns {
+        let Some(unknown) = inner(k) else { continue };
+        let mut rest = right[k];
+        for (entry, &value) in band[k].iter().enumerate() {
+            let (i, j) = (k / columns + entry / REACH, k % columns + entry % REACH);
+            if i < 3 || j < 3 || i - 3 >= rows || j - 3 >= columns {
+                continue;
+            }
+            let other = (i - 3) * columns + j - 3;
+            match inner(other) {
+                Some(row) if row >= unknown => {
+                    indices.push(row);
+                    values.push(value);
+                }
+                Some(_) => {}
+                None => rest -= start[other].coords * value,
+            }
+        }
+        starts.push(indices.len());
+        for c in 0..3 {
+            columns_of_right[c * unknowns + unknown] = rest[c];
+        }
+    }
+    let matrix = CsMat::new_csc((unknowns, unknowns), starts, indices, values);
+    Cholesky::new(&matrix, "unfolded net")?.solve(&mut columns_of_right);
+    let moved = |k: usize| {
+        inner(k).map_or(start[k], |unknown| Point3::from([0, 1, 2].map(|c| columns_of_right[c * unknowns + unknown])))
+    };
+    Ok((0..rows * columns).map(moved).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::synthetic::{self, Scene};
+    use super::super::{NurbsSurface, SurfaceProjector};
+    use super::*;
+
+    fn unfolded(scene: &Scene) -> NurbsSurface {
+        let curves = BorderCurves::new(&scene.border, scene.corners, &scene.maps, [30, 30]).unwrap();
+        let net = unfolded_net(&scene.border, &curves, &scene.contours, &scene.maps).unwrap();
+        NurbsSurface::new(curves.knots, net, None).unwrap()
+    }
+
+    /// Largest distance from samples of one surface to the other.
+    fn deviation(surface: &NurbsSurface, truth: &NurbsSurface) -> f64 {
+        let projector = SurfaceProjector::new(truth);
+        let places = (0..31 * 31).map(|k| [(k / 31) as f64 / 30.0, (k % 31) as f64 / 30.0]);
+        let distances = places.map(|[s, t]| {
+            let [u, v] = surface.at_fraction(s, t);
+            projector.closest(&surface.point(u, v)).distance
+        });
+        distances.fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn open_sheets_are_fitted_everywhere() {
+        for truth in [synthetic::dome(), synthetic::saddle()] {
+            let scene = synthetic::scene(truth);
+            let surface = unfolded(&scene);
+            let distance = deviation(&surface, &scene.truth).max(deviation(&scene.truth, &surface));
+            assert!(distance < 0.03, "{distance}");
+        }
+    }
+
+    #[test]
+    fn a_fold_is_fitted_on_both_sides() {
+        let scene = synthetic::scene(synthetic::vault());
+        assert!(!scene.contours.is_empty());
+        let surface = unfolded(&scene);
+        // Both ways: no part is missing, and none sticks out. Without the contour the hidden wall would be lost.
+        let distance = deviation(&surface, &scene.truth).max(deviation(&scene.truth, &surface));
+        assert!(distance < 0.25, "{distance}");
+        let flat = Scene { contours: vec![], ..scene };
+        assert!(deviation(&flat.truth, &unfolded(&flat)) > 2.0 * distance);
+    }
+
+    #[test]
+    fn parameters_of_a_plane_are_affine() {
+        // Conformal, so harmonic: a square seen straight on.
+        let scene = synthetic::scene(synthetic::surface(|s, t| [7.0 * t - 3.5, 3.5 - 7.0 * s, -4.0]));
+        let curves = BorderCurves::new(&scene.border, scene.corners, &scene.maps, [30, 30]).unwrap();
+        let sheet = Sheet::new(&scene.border, &curves, &scene.contours, &scene.maps);
+        for (k, [u, v]) in sheet.flatten().unwrap().into_iter().enumerate() {
+            let p = sheet.point(k as u32);
+            assert!((u - (3.5 - p.y) / 7.0).abs() < 1e-4 && (v - (p.x + 3.5) / 7.0).abs() < 1e-4, "{p} {u} {v}");
+        }
+    }
+
+    #[test]
+    fn strokes_cross_grid_lines_where_they_do() {
+        let mut found = vec![];
+        cross_segment(64, [2.25, 3.5], [4.25, 5.5], |link, at, t, down| found.push((link, at, t, down)));
+        let expected = [
+            (2 * (4 * 64 + 2), 0.75, 0.25, 0),
+            (2 * (5 * 64 + 3), 0.75, 0.75, 0),
+            (2 * (4 * 64 + 3) + 1, 0.25, 0.375, 1),
+            (2 * (5 * 64 + 4) + 1, 0.25, 0.875, 1),
+        ];
+        assert_eq!(found, expected);
+    }
+}

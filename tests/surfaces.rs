@@ -1,0 +1,126 @@
+//! First call: surfaces obey their sketches, in any view, and hosts' own surfaces of any kind go on.
+
+use nalgebra::{Point3, Rotation3, Vector3};
+use sketch2pq::datagen::{Options, sample};
+use sketch2pq::infer::BackendChoice;
+use sketch2pq::pipeline::{
+    FieldOptions, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
+    sketch_to_surface,
+};
+use sketch2pq::sketch::{Sketch, Stroke, StrokeKind, View, parse_json};
+use sketch2pq::surface::{KnotVector, NurbsSurface};
+
+fn session() -> Session {
+    let options = SessionOptions { backend: BackendChoice::Embedded, threads: 1, ..SessionOptions::default() };
+    Session::new(&options).unwrap()
+}
+
+fn surface(session: &mut Session, sketch: &Sketch) -> SurfaceResult {
+    sketch_to_surface(session, sketch, &SurfaceOptions::default()).unwrap()
+}
+
+fn example(name: &str) -> Sketch {
+    let path = format!("{}/examples/sketches/{name}.json", env!("CARGO_MANIFEST_DIR"));
+    parse_json(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn every_example_meets_its_strokes() {
+    let mut session = session();
+    for name in [
+        "barrel_vault",
+        "dome",
+        "front_foldover",
+        "leaning_shell",
+        "results_left",
+        "results_right",
+        "rounded_corner",
+        "saddle",
+    ] {
+        let result = surface(&mut session, &example(name));
+        let diagnostics = result.patches[0].diagnostics;
+        // The fold in front of front_foldover was 14 px off, its mean, while no start had a silhouette there.
+        assert!(
+            diagnostics.reprojection_mean_px < 0.5 && diagnostics.reprojection_max_px < 6.0,
+            "{name}: {diagnostics:?}"
+        );
+        assert!(diagnostics.misfacing < 0.02, "{name}: {diagnostics:?}");
+        assert_eq!(result.report.fold_overs, Some(diagnostics.fold_overs));
+    }
+}
+
+/// Seeds whose surface once missed its strokes: small second folds, samples behind folds, starts that could not be left.
+#[test]
+fn seeds_with_trouble_stay_near_their_strokes() {
+    let mut session = session();
+    for (seed, most) in [(152, 0.5), (9_000_004, 2.0), (9_000_020, 1.5), (9_000_080, 1.5), (9_000_091, 1.0)] {
+        let truth = sample(seed, &Options::default()).unwrap();
+        let diagnostics = surface(&mut session, &truth.sketch).patches[0].diagnostics;
+        assert!(diagnostics.reprojection_mean_px < most, "{seed}: {diagnostics:?}");
+    }
+}
+
+#[test]
+fn turning_the_view_turns_the_surface() {
+    let mut session = session();
+    let mut sketch = example("leaning_shell");
+    sketch.view = View::from_angles(10.0, 35.0, true).unwrap();
+    let net = surface(&mut session, &sketch).patches[0].surface.control_points().to_vec();
+    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), 73f64.to_radians());
+    let [right, up, toward] = [sketch.view.right(), sketch.view.up(), sketch.view.toward()].map(|axis| turn * axis);
+    sketch.view = View::from_axes(right, up, toward, true).unwrap();
+    let turned = surface(&mut session, &sketch);
+    let size = net.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
+    for (p, q) in net.iter().zip(turned.patches[0].surface.control_points()) {
+        assert!((turn * p - q).norm() < 1e-6 * size, "{p} {q}");
+    }
+}
+
+#[test]
+fn strokes_are_met_from_every_elevation() {
+    let mut session = session();
+    for elevation in [25.0, 45.0, 65.0] {
+        for name in ["leaning_shell", "saddle"] {
+            let mut sketch = example(name);
+            sketch.view = View::from_angles(-30.0, elevation, true).unwrap();
+            let diagnostics = surface(&mut session, &sketch).patches[0].diagnostics;
+            assert!(diagnostics.reprojection_mean_px < 0.5, "{name} at {elevation}: {diagnostics:?}");
+        }
+    }
+}
+
+#[test]
+fn strokes_that_belong_to_no_patch_are_named() {
+    let mut session = session();
+    let mut sketch = example("saddle");
+    let count = sketch.strokes.len();
+    let line = |points: Vec<[f64; 2]>| Stroke { kind: StrokeKind::Feature, points };
+    sketch.strokes.insert(0, line(vec![[900.0, 900.0], [950.0, 940.0], [990.0, 900.0]]));
+    sketch.strokes.push(sketch.strokes[1].clone());
+    let result = surface(&mut session, &sketch);
+    assert_eq!((result.patches.len(), &result.unused_strokes), (1, &vec![0, count + 1]));
+    assert_eq!(result.report.unused_strokes, Some(vec![0, count + 1]));
+}
+
+#[test]
+fn hosts_surfaces_of_any_degree_size_and_weights_become_panels() {
+    let mut session = session();
+    for (degrees, counts, rational, size) in
+        [([5, 2], [9, 6], true, 40.0), ([1, 1], [2, 2], false, 0.01), ([3, 4], [40, 12], false, 7e4)]
+    {
+        let knots = [0, 1].map(|k| KnotVector::uniform(degrees[k], counts[k]));
+        let net = (0..counts[0] * counts[1]).map(|k| {
+            let [s, t] =
+                [(k / counts[1]) as f64 / (counts[0] - 1) as f64, (k % counts[1]) as f64 / (counts[1] - 1) as f64];
+            Point3::new(s, t, 0.3 * s * t + 0.1 * (s - 0.5).powi(2)) * size
+        });
+        let weights = rational.then(|| (0..counts[0] * counts[1]).map(|k| 1.0 + 0.3 * (k as f64).sin()).collect());
+        let host = NurbsSurface::new(knots, net.collect(), weights).unwrap();
+        let surface = SurfaceResult::from_nurbs(vec![host]).unwrap();
+        let field = sketch_to_cdf(&mut session, None, &surface, &FieldOptions::default()).unwrap();
+        let options = MeshOptions { faces: 100, ..MeshOptions::default() };
+        let mesh = extract_pq_mesh(&mut session, &field, &options).unwrap();
+        assert!(mesh.report.faces.unwrap() > 40, "{degrees:?}: {:?}", mesh.report);
+        assert!(mesh.report.deviation_max_edges.unwrap() < 0.5, "{degrees:?}: {:?}", mesh.report);
+    }
+}
