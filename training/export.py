@@ -57,9 +57,9 @@ def export(name, weights, target, validation):
     network = nets.make(name).eval()
     network.load_state_dict(torch.load(weights, weights_only=True))
     # What runs later has fp16 weights, so compare with those.
-    for parameter in network.parameters():
-        if parameter.numel() >= 64:
-            parameter.data = parameter.data.half().float()
+    for stored in [*network.parameters(), *network.buffers()]:
+        if stored.numel() >= 64:
+            stored.data = stored.data.half().float()
     example = torch.randn(1, inputs, size, size, generator=torch.Generator().manual_seed(3))
     buffer = io.BytesIO()
     torch.onnx.export(network, (example,), buffer, input_names=["x"], output_names=["y"], opset_version=17, dynamo=False)
