@@ -60,7 +60,7 @@ impl Default for MapOptions {
     fn default() -> Self {
         Self {
             density: Density::CellCount(500.0),
-            size_weight: 0.01,
+            size_weight: 0.05,
             size_rounds: 1,
             sides: SideFit::Within(6f64.to_radians()),
             stiffening_rounds: 6,

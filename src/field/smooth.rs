@@ -347,9 +347,14 @@ impl<'a> Problem<'a> {
         let mean_square: f64 = forms.iter().zip(&share).map(|(f, a)| f.norm().powi(2) * a).sum();
         let least = options.flatness * mean_square.sqrt().max(area.sqrt().recip());
         let flat: Vec<bool> = forms.iter().map(|f| f.norm() <= least).collect();
-        let soft = |(flat, area): (&bool, &f64)| match conjugacy {
-            Conjugacy::Soft if !flat => options.conjugacy_weight * area,
-            _ => 0.0,
+        // A triangle cannot tell a radius of curvature below its own size: a spike at a nearly collapsed corner must not weigh without bound.
+        let soft = |t: usize| {
+            let area = frames.areas[t];
+            if conjugacy == Conjugacy::Exact || flat[t] {
+                0.0
+            } else {
+                options.conjugacy_weight * area / (1.0 + area * forms[t].norm().powi(2))
+            }
         };
         let exact = conjugacy == Conjugacy::Exact;
         let mut problem = Self {
@@ -357,7 +362,7 @@ impl<'a> Problem<'a> {
             edges,
             frames,
             forms,
-            conjugacy: flat.iter().zip(&frames.areas).map(soft).collect(),
+            conjugacy: (0..count).map(soft).collect(),
             edge_weights: edge_weights(mesh, edges),
             freedom: vec![Freedom::Free; count],
             hard: vec![None; count],
@@ -692,7 +697,15 @@ impl<'a> Problem<'a> {
                     system.add_diagonal(t, i, i, if stopped { 1e9 } else { damping });
                 }
             }
-            let factor = system.factorize("conjugate field")?;
+            let factor = match system.factorize("conjugate field") {
+                Ok(factor) => factor,
+                // Rounding may leave a nearly flat direction: more damping, as after a step uphill.
+                Err(error) if damping > MOST_DAMPING || gradient.iter().any(|g| !g.is_finite()) => return Err(error),
+                Err(_) => {
+                    damping = (damping * 10.0).max(1e-2);
+                    continue;
+                }
+            };
             let mut step = gradient.clone();
             factor.solve(&mut step);
             step.iter_mut().for_each(|s| *s = s.clamp(-MAX_STEP, MAX_STEP));
@@ -709,7 +722,7 @@ impl<'a> Problem<'a> {
                     return Ok((crosses, iteration + 1));
                 }
             } else {
-                if largest < 1e-4 || damping > 1e4 {
+                if largest < 1e-4 || damping > MOST_DAMPING {
                     return Ok((crosses, iteration + 1));
                 }
                 damping = (damping * 10.0).max(1e-2);
@@ -907,6 +920,8 @@ const EXACT_ITERATIONS: usize = 3;
 const GAIN: f64 = 3e-3;
 /// Distance of singularities that count as a close pair, in square roots of the area.
 const CLOSE_PAIR: f64 = 0.15;
+/// Damping at which no step is to be hoped for.
+const MOST_DAMPING: f64 = 1e4;
 /// Largest change of an angle in one Gauss-Newton step, radians.
 const MAX_STEP: f64 = 0.4;
 
