@@ -16,7 +16,7 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 25] = [
+pub const KEYS: [&str; 29] = [
     "d_c",
     "d_n_deg",
     "d_c_network",
@@ -35,6 +35,10 @@ pub const KEYS: [&str; 25] = [
     "d_f_deg",
     "reprojection_mean_px",
     "reprojection_p95_px",
+    "strokes_mean_px",
+    "strokes_max_px",
+    "fold_overs",
+    "misfacing",
     "deviation_max_edges",
     "border_covered",
     "conjugacy_mean",
@@ -112,6 +116,10 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
     let mesh = extract_pq_mesh(session, &field, &MeshOptions::default())?;
     let report = &mesh.report;
     let from_report = [
+        ("strokes_mean_px", report.reprojection_mean_px),
+        ("strokes_max_px", report.reprojection_max_px),
+        ("fold_overs", report.fold_overs.map(|n| n as f64)),
+        ("misfacing", report.misfacing),
         ("e_smooth", report.e_smooth),
         ("conjugacy_mean", report.conjugacy_mean),
         ("crossing_min_deg", report.crossing_min_deg),

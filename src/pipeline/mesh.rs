@@ -409,32 +409,125 @@ fn distance_to_segment([a, b]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
     (p - (a + d * t)).norm()
 }
 
-/// Sum over the segments of the feature lines of length times angle to the better aligned family of edges of the
-/// nearest quad, degrees, and the sum of the lengths.
+/// A quad as a bilinear patch.
+struct BilinearPanel {
+    corners: [Vector3<f64>; 4],
+    center: Vector3<f64>,
+    /// Of a ball about the centre that holds the panel.
+    radius: f64,
+}
+
+impl BilinearPanel {
+    fn new(corners: [Vector3<f64>; 4]) -> Self {
+        let center = corners.iter().sum::<Vector3<f64>>() / 4.0;
+        let radius = corners.iter().map(|c| (c - center).norm()).fold(0.0, f64::max);
+        Self { corners, center, radius }
+    }
+
+    /// Directions of the two families at (s, t) in the unit square.
+    fn families(&self, [s, t]: [f64; 2]) -> [Vector3<f64>; 2] {
+        let [a, b, c, d] = self.corners;
+        [(b - a) * (1.0 - t) + (c - d) * t, (d - a) * (1.0 - s) + (c - b) * s]
+    }
+
+    /// Distance to the closest point, and the families there.
+    fn closest(&self, query: &Vector3<f64>) -> (f64, [Vector3<f64>; 2]) {
+        let [a, b, c, d] = self.corners;
+        let mut at = [0.5; 2];
+        let apart = |[s, t]: [f64; 2]| query - ((a * (1.0 - s) + b * s) * (1.0 - t) + (d * (1.0 - s) + c * s) * t);
+        for _ in 0..CLOSEST_ROUNDS {
+            let (rest, [u, _]) = (apart(at), self.families(at));
+            // One coordinate after the other, so that the square's sides need no care.
+            at[0] = (at[0] + rest.dot(&u) / u.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            let (rest, [_, v]) = (apart(at), self.families(at));
+            at[1] = (at[1] + rest.dot(&v) / v.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        }
+        (apart(at).norm(), self.families(at))
+    }
+}
+
+/// Rounds of the search for the closest point on a panel.
+const CLOSEST_ROUNDS: usize = 12;
+
+/// Sum over the segments of the feature lines of length times angle to the better aligned family of edges, degrees, and the
+/// sum of the lengths.
 ///
-/// The families of a quad are its two midlines; the nearest quad is the one with the nearest centre.
+/// The families are those of the nearest quad, taken as a bilinear patch, at the point closest to the segment's middle.
 ///
 /// # Source
 /// Sketch2PQ, Sec. 4.1 (D_f). As printed it is a sum, and to the closest edge, which is often one of the crossing
 /// family.
 fn feature_angle(lines: &[Vec<Point3<f64>>], mesh: &PanelMesh) -> [f64; 2] {
-    let quads: Vec<(Point3<f64>, [Vector3<f64>; 2])> = mesh
+    let quads: Vec<BilinearPanel> = mesh
         .faces()
         .filter(|face| face.len() == 4)
-        .map(|face| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|k| mesh.vertices[face[k] as usize].coords);
-            (Point3::from((a + b + c + d) / 4.0), [b + c - a - d, c + d - a - b])
-        })
+        .map(|face| BilinearPanel::new([0, 1, 2, 3].map(|k| mesh.vertices[face[k] as usize].coords)))
         .collect();
     let mut sum = [0.0; 2];
     for ends in lines.iter().flat_map(|line| line.windows(2)) {
-        let (along, middle) = (ends[1] - ends[0], nalgebra::center(&ends[0], &ends[1]));
-        let distance = |quad: &&(Point3<f64>, _)| (quad.0 - middle).norm_squared();
-        let Some((_, families)) = quads.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))) else { break };
+        let (along, middle) = (ends[1] - ends[0], nalgebra::center(&ends[0], &ends[1]).coords);
+        let mut best: Option<(f64, [Vector3<f64>; 2])> = None;
+        for quad in &quads {
+            let least = (quad.center - middle).norm() - quad.radius;
+            if best.as_ref().is_none_or(|(distance, _)| least < *distance) {
+                let found = quad.closest(&middle);
+                if best.as_ref().is_none_or(|(distance, _)| found.0 < *distance) {
+                    best = Some(found);
+                }
+            }
+        }
+        let Some((_, families)) = best else { break };
         let angle = |family: &Vector3<f64>| along.cross(family).norm().atan2(along.dot(family).abs()).to_degrees();
         let length = along.norm();
         sum[0] += length * families.iter().map(angle).fold(90.0, f64::min);
         sum[1] += length;
     }
     sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One quad with corners (0, 0), (2, 0), (2, 3), (0, 1): its sides across run straight up, those along fan out.
+    fn trapezoid() -> PanelMesh {
+        let vertices = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 1.0]].map(|[x, y]| Point3::new(x, y, 0.0)).to_vec();
+        PanelMesh { vertices, starts: vec![0, 4], indices: vec![0, 1, 2, 3] }
+    }
+
+    #[test]
+    fn feature_lines_are_held_against_the_edges_at_their_place() {
+        let line = |a: [f64; 2], b: [f64; 2]| vec![[a, b].map(|[x, y]| Point3::new(x, y, 0.4)).to_vec()];
+        let angle = |lines: &[Vec<Point3<f64>>]| {
+            let [sum, length] = feature_angle(lines, &trapezoid());
+            sum / length
+        };
+        // Halfway up the fan rises by one in two.
+        assert!(angle(&line([0.5, 0.75], [1.5, 1.25])) < 1e-6);
+        assert!((angle(&line([0.9, 1.0], [1.1, 1.0])) - 0.5f64.atan().to_degrees()).abs() < 1e-6);
+        // At the lower side it is level; beyond the panel the nearest point counts.
+        assert!(angle(&line([0.9, -0.5], [1.1, -0.5])) < 1e-6);
+        // Straight up is the other family everywhere; twenty degrees off are twenty.
+        let tilted = [1.0 + 0.1 * 20f64.to_radians().tan(), 1.1];
+        assert!(angle(&line([1.0, 0.9], [1.0, 1.1])) < 1e-6);
+        assert!((angle(&line([1.0, 1.0], tilted)) - 20.0).abs() < 0.5);
+        assert_eq!(feature_angle(&[], &trapezoid()), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_border_is_covered_where_the_mesh_reaches_it() {
+        let square = |x: f64, y: f64| Point3::new(x, y, 0.0);
+        let net = vec![square(0.0, 0.0), square(0.0, 1.0), square(1.0, 0.0), square(1.0, 1.0)];
+        let surface = NurbsSurface::uniform(1, [2, 2], net).unwrap();
+        // A panel over the left half: half of the lower and upper side and the whole left one, and a tenth of the edges'
+        // mean length, 0.75, more.
+        let mesh = PanelMesh {
+            vertices: vec![square(0.0, 0.0), square(0.5, 0.0), square(0.5, 1.0), square(0.0, 1.0)],
+            starts: vec![0, 4],
+            indices: vec![0, 1, 2, 3],
+        };
+        let [all, covered] = border_length(&surface, &mesh, &[0, 1, 2, 3]);
+        assert!((all - 4.0).abs() < 1e-9);
+        assert!((covered - (2.0 + 2.0 * 0.075)).abs() < 0.03, "{covered}");
+    }
 }
