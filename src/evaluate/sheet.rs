@@ -65,9 +65,11 @@ pub fn sheet(
         let (frame, view) = (truth.patch.frame, truth.sketch.view);
         let actual = truth.surface.mapped(|p| view.camera_to_world(&frame.point_to_camera(p)));
         let value = |key: &str| case.values.get(key).copied().unwrap_or(f64::NAN);
+        // Without feature lines there is no D_f.
+        let d_f = case.values.get("d_f_deg").map_or(String::new(), |angle| format!(" D_f {angle:.1} deg,"));
         rows.push(CaseRow {
             label: format!(
-                "seed {}, {}{}, {} depth samples: D_c {:.3}, {:.3} sheared, D_n {:.1} deg, D_f {:.1} deg, P_max {:.0e}",
+                "seed {}, {}{}, {} depth samples: D_c {:.3}, {:.3} sheared, D_n {:.1} deg,{d_f} P_max {:.0e}",
                 case.seed,
                 case.family,
                 if case.noisy { ", noisy" } else { "" },
@@ -75,7 +77,6 @@ pub fn sheet(
                 value("d_c"),
                 value("d_c_shear"),
                 value("d_n_deg"),
-                value("d_f_deg"),
                 value("p_max"),
             ),
             sketch: truth.sketch,
