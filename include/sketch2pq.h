@@ -442,9 +442,9 @@ typedef struct S2pqPolygons {
   uint64_t pin_count;
   // vertex_count times x, y, z; world frame, any unit.
   const double *vertices;
-  // face_count + 1 entries: face f has the vertices indices[starts[f]] to indices[starts[f + 1] - 1].
+  // face_count + 1 entries: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`.
   const uint32_t *starts;
-  // starts[face_count] entries.
+  // `starts[face_count]` entries.
   const uint32_t *indices;
   // pin_count vertices, in any order; NULL if there is none.
   const uint32_t *pins;

@@ -28,9 +28,9 @@ pub struct S2pqPolygons {
     pub pin_count: u64,
     /// vertex_count times x, y, z; world frame, any unit.
     pub vertices: *const f64,
-    /// face_count + 1 entries: face f has the vertices indices[starts[f]] to indices[starts[f + 1] - 1].
+    /// face_count + 1 entries: face f has the vertices `indices[starts[f]]` to `indices[starts[f + 1] - 1]`.
     pub starts: *const u32,
-    /// starts[face_count] entries.
+    /// `starts[face_count]` entries.
     pub indices: *const u32,
     /// pin_count vertices, in any order; NULL if there is none.
     pub pins: *const u32,
