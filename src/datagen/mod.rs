@@ -174,6 +174,11 @@ fn dice(seed: u64, purpose: u64, attempt: u32) -> ChaCha8Rng {
     ChaCha8Rng::from_seed(key)
 }
 
+/// Whether the dice of a seed ask for an occluded part.
+fn wants_occlusion(seed: u64, options: &Options) -> bool {
+    dice(seed, 1, 0).random_bool(options.occluded_share.clamp(0.0, 1.0))
+}
+
 /// Makes the sample of a seed.
 ///
 /// Of `options` the family shares, the elevations, the shares of noise and occlusion and the number of rotations per surface
@@ -184,8 +189,7 @@ fn dice(seed: u64, purpose: u64, attempt: u32) -> ChaCha8Rng {
 pub fn sample(seed: u64, options: &Options) -> Result<Sample, Rejection> {
     let rotations = options.rotations_per_surface.max(1);
     let surface_id = seed / rotations;
-    let mut own = dice(seed, 1, 0);
-    let wants_occlusion = own.random_bool(options.occluded_share.clamp(0.0, 1.0));
+    let wants_occlusion = wants_occlusion(seed, options);
     let mut rejected = [0; Reason::ALL.len()];
     let family = draw_family(&options.shares, &mut dice(surface_id, 2, 0));
     let views = if rotations > 1 { SHARED_VIEWS_PER_CANDIDATE } else { OWN_VIEWS_PER_CANDIDATE };
@@ -224,7 +228,7 @@ pub fn sample_again(shown: &Sample, seed: u64, options: &Options) -> Result<Samp
     let &Sample { surface_id, family, candidate, .. } = shown;
     let refused = Rejection(Reason::Surface);
     let world = surfaces::random_surface(family, &mut dice(surface_id, 3, candidate)).ok_or(refused)?;
-    let wants_occlusion = dice(seed, 1, 0).random_bool(options.occluded_share.clamp(0.0, 1.0));
+    let wants_occlusion = wants_occlusion(seed, options);
     let mut last = refused;
     for attempt in 0..MAX_ATTEMPTS {
         let wish = (attempt < INSISTING_ATTEMPTS).then_some(wants_occlusion);
