@@ -37,13 +37,11 @@ fn stages(criterion: &mut Criterion) {
             bencher.iter(|| {
                 let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
                 let input = PlanarizeInput {
-                    mesh: black_box(&extracted.mesh),
                     reference: Some(&SurfaceProjector::new(&surface)),
                     border: &border_vertices(&extracted.mesh),
-                    pins: &[],
                     polylines: &extracted.strips(),
-                    splittable: &[],
                     parameters: Some(&parameters),
+                    ..PlanarizeInput::new(black_box(&extracted.mesh))
                 };
                 planarize(&input, &PlanarizeOptions::default(), &Control::default()).expect("waves become planar")
             });

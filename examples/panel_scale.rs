@@ -25,13 +25,11 @@ fn measure(field: &ConjugateField, surface: &NurbsSurface, faces: usize) -> Resu
     let start = Instant::now();
     let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
     let input = PlanarizeInput {
-        mesh: &extracted.mesh,
         reference: Some(&SurfaceProjector::new(surface)),
         border: &border_vertices(&extracted.mesh),
-        pins: &[],
         polylines: &extracted.strips(),
-        splittable: &[],
         parameters: Some(&parameters),
+        ..PlanarizeInput::new(&extracted.mesh)
     };
     let result = planarize(&input, &PlanarizeOptions::default(), &control)?;
     let planarization = start.elapsed().as_secs_f64() * 1e3;

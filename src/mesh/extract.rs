@@ -102,16 +102,6 @@ pub enum PanelTarget {
     Faces(usize),
 }
 
-impl PanelTarget {
-    /// The target of `factor` times as many faces.
-    pub fn scaled(self, factor: f64) -> Self {
-        match self {
-            Self::EdgeLength(length) => Self::EdgeLength(length / factor.sqrt()),
-            Self::Faces(count) => Self::Faces(((count as f64 * factor).round() as usize).max(1)),
-        }
-    }
-}
-
 /// Panels of about the number or size asked for: integrates the field and extracts, adapting the map's density.
 ///
 /// # Errors

@@ -478,13 +478,11 @@ fn the_whole_stage_gives_the_same_bytes_on_any_number_of_threads() {
         let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
         let (border, polylines) = (border_vertices(&extracted.mesh), extracted.strips());
         let input = PlanarizeInput {
-            mesh: &extracted.mesh,
             reference: Some(&SurfaceProjector::new(&surface)),
             border: &border,
-            pins: &[],
             polylines: &polylines,
-            splittable: &[],
             parameters: Some(&parameters),
+            ..PlanarizeInput::new(&extracted.mesh)
         };
         let result = planarize(&input, &PlanarizeOptions::default(), &control).unwrap();
         let bits: Vec<[u64; 3]> = result.mesh.vertices.iter().map(|p| [p.x, p.y, p.z].map(f64::to_bits)).collect();

@@ -29,6 +29,13 @@ pub struct PlanarizeInput<'a> {
     pub parameters: Option<&'a [[f64; 2]]>,
 }
 
+impl<'a> PlanarizeInput<'a> {
+    /// The mesh alone: it is its own reference, nothing is held, kept fair or split.
+    pub fn new(mesh: &'a PanelMesh) -> Self {
+        Self { mesh, reference: None, border: &[], pins: &[], polylines: &[], splittable: &[], parameters: None }
+    }
+}
+
 /// How [`planarize`] weighs its aims. Weights multiply squared lengths in units of the mesh's mean edge length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanarizeOptions {
@@ -901,15 +908,7 @@ mod tests {
 
     fn run(mesh: &PanelMesh, reference: Option<&dyn Reference>) -> Planarized {
         let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-        let input = PlanarizeInput {
-            mesh,
-            reference,
-            border: &border,
-            pins: &[],
-            polylines: &polylines,
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput { reference, border: &border, polylines: &polylines, ..PlanarizeInput::new(mesh) };
         planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap()
     }
 
@@ -990,15 +989,7 @@ mod tests {
     fn newton_converges_quadratically() {
         let mesh = skew_sphere(12);
         let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-        let input = PlanarizeInput {
-            mesh: &mesh,
-            reference: None,
-            border: &border,
-            pins: &[],
-            polylines: &polylines,
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput { border: &border, polylines: &polylines, ..PlanarizeInput::new(&mesh) };
         let options = PlanarizeOptions::default();
         let reference = sphere();
         let edge = mean_edge_length(&mesh);
@@ -1041,15 +1032,7 @@ mod tests {
     fn soft_gradient_matches_finite_differences() {
         let mesh = grid(4, 3, translational);
         let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-        let input = PlanarizeInput {
-            mesh: &mesh,
-            reference: None,
-            border: &border,
-            pins: &[7],
-            polylines: &polylines,
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput { border: &border, pins: &[7], polylines: &polylines, ..PlanarizeInput::new(&mesh) };
         let options = PlanarizeOptions::default();
         let reference = MeshReference::from_panels(&mesh);
         let edge = mean_edge_length(&mesh);
@@ -1101,15 +1084,7 @@ mod tests {
         let h = 0.1;
         let vertices = [[1.0, 0.0, h], [0.0, 1.0, -h], [-1.0, 0.0, h], [0.0, -1.0, -h]].map(Point3::from).to_vec();
         let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
-        let input = PlanarizeInput {
-            mesh: &mesh,
-            reference: None,
-            border: &[],
-            pins: &[],
-            polylines: &[],
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput::new(&mesh);
         let options = PlanarizeOptions { closeness: 0.0, deviation: Some(1.0), ..PlanarizeOptions::default() };
         let result = planarize(&input, &options, &Control::default()).unwrap();
         assert!(result.mesh.vertices.iter().all(|p| p.z.abs() < 1e-9 && (p.coords.xy().norm() - 1.0).abs() < 1e-3));
@@ -1148,13 +1123,10 @@ mod tests {
         let border = border_vertices(&mesh);
         let polylines = grid_triples(&mesh, |_| false);
         let input = PlanarizeInput {
-            mesh: &mesh,
             reference: Some(&reference),
             border: &border,
-            pins: &[],
             polylines: &polylines,
-            parameters: None,
-            splittable: &[],
+            ..PlanarizeInput::new(&mesh)
         };
         let try_with = |offsets| {
             let options = PlanarizeOptions { offsets, ..PlanarizeOptions::default() };
@@ -1178,13 +1150,11 @@ mod tests {
         let pins = [0, 8, 40, 72, 80];
         let reference = sphere();
         let input = PlanarizeInput {
-            mesh: &mesh,
             reference: Some(&reference),
             border: &border,
             pins: &pins,
             polylines: &polylines,
-            parameters: None,
-            splittable: &[],
+            ..PlanarizeInput::new(&mesh)
         };
         let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
         assert!(result.planarity_max() < 1e-10);
@@ -1240,15 +1210,7 @@ mod tests {
     fn hopeless_pins_give_a_result_with_numbers() {
         let vertices = [[1.0, 0.0, 0.3], [0.0, 1.0, -0.3], [-1.0, 0.0, 0.3], [0.0, -1.0, -0.3]];
         let mesh = PanelMesh::new(vertices.map(Point3::from).to_vec(), &[[0u32, 1, 2, 3]]).unwrap();
-        let input = PlanarizeInput {
-            mesh: &mesh,
-            reference: None,
-            border: &[],
-            pins: &[0, 1, 2, 3],
-            polylines: &[],
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput { pins: &[0, 1, 2, 3], ..PlanarizeInput::new(&mesh) };
         let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
         assert!(!result.is_planar && result.mesh == mesh);
     }
@@ -1258,15 +1220,7 @@ mod tests {
         let options = PlanarizeOptions::default();
         let try_on = |mesh: &PanelMesh| {
             let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-            let input = PlanarizeInput {
-                mesh,
-                reference: None,
-                border: &border,
-                pins: &[],
-                polylines: &polylines,
-                parameters: None,
-                splittable: &[],
-            };
+            let input = PlanarizeInput { border: &border, polylines: &polylines, ..PlanarizeInput::new(mesh) };
             planarize(&input, &options, &Control::default())
         };
         let good = grid(3, 3, translational);
@@ -1291,15 +1245,7 @@ mod tests {
 
         let control = Control::default();
         control.cancel();
-        let input = PlanarizeInput {
-            mesh: &good,
-            reference: None,
-            border: &[],
-            pins: &[],
-            polylines: &[],
-            parameters: None,
-            splittable: &[],
-        };
+        let input = PlanarizeInput::new(&good);
         assert_eq!(planarize(&input, &options, &control).unwrap_err(), Error::Cancelled);
         let input = PlanarizeInput { pins: &[99], ..input };
         assert!(matches!(planarize(&input, &options, &Control::default()), Err(Error::Degenerate { .. })));
@@ -1402,13 +1348,10 @@ mod tests {
         let (mesh, border) = trimmed(f, 4.0, 0.45, 40.0);
         let polylines = grid_triples(&mesh, |_| false);
         let input = PlanarizeInput {
-            mesh: &mesh,
             reference: Some(&Trimmed(f, 4.0)),
             border: &border,
-            pins: &[],
             polylines: &polylines,
-            parameters: None,
-            splittable: &[],
+            ..PlanarizeInput::new(&mesh)
         };
         let options = PlanarizeOptions { allowance: 10.0, ..PlanarizeOptions::default() };
         let result = planarize(&input, &options, &Control::default()).unwrap();
@@ -1435,13 +1378,11 @@ mod tests {
         let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.3]].map(Point3::from).to_vec();
         let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
         let input = PlanarizeInput {
-            mesh: &mesh,
             reference: Some(&SlantedBorder),
             border: &[3],
             pins: &[0, 1, 2],
-            polylines: &[],
-            parameters: None,
             splittable: &[0],
+            ..PlanarizeInput::new(&mesh)
         };
         let options = PlanarizeOptions { border: 1e7, ..PlanarizeOptions::default() };
         let result = planarize(&input, &options, &Control::default()).unwrap();
@@ -1468,13 +1409,10 @@ mod tests {
             let reference = Trimmed(f, 4.0);
             let polylines = grid_triples(&mesh, |_| false);
             let input = PlanarizeInput {
-                mesh: &mesh,
                 reference: Some(&reference),
                 border: &border,
-                pins: &[],
                 polylines: &polylines,
-                parameters: None,
-                splittable: &[],
+                ..PlanarizeInput::new(&mesh)
             };
             let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
             assert!(result.planarity_max() < 1e-10 && result.is_close, "{:.1e}", result.planarity_max());

@@ -36,13 +36,11 @@ fn claim(name: &str, surface: &NurbsSurface, faces: usize) {
     let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|o| o.parameter).collect();
     let projector = SurfaceProjector::new(surface);
     let input = PlanarizeInput {
-        mesh,
         reference: Some(&projector),
         border: &border,
-        pins: &[],
         polylines: &polylines,
         parameters: Some(&parameters),
-        splittable: &[],
+        ..PlanarizeInput::new(mesh)
     };
     let result = planarize(&input, &PlanarizeOptions::default(), &control).unwrap();
 

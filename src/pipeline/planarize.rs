@@ -73,13 +73,11 @@ fn run(
     let mut report = Report { patches: 1, ..Report::new() };
     let planarized = timed(&mut report.time_ms.planarize, || {
         let input = PlanarizeInput {
-            mesh,
             reference: projector.as_ref().map(|p| p as _),
             border: held,
             pins: &pins,
             polylines: &polylines,
-            parameters: None,
-            splittable: &[],
+            ..PlanarizeInput::new(mesh)
         };
         planarize(&input, &options.planarize, control)
     })?;
