@@ -1,4 +1,4 @@
-"""Trains all four networks in sequence and exports them: `python training/all.py --hours 8`.
+"""Trains all four networks in sequence, then those of the surface jointly, and exports them: `python training/all.py --hours 8`.
 
 Data are made by `sketch2pq generate` where they are missing (seeds below VALIDATION are for training, the rest held out).
 Everything resumes: shards that exist are kept, a network continues from its checkpoint.
@@ -9,12 +9,16 @@ import pathlib
 import subprocess
 import sys
 
+import nets
 import tasks
 
 ROOT = pathlib.Path(__file__).parent.parent
 WORK = ROOT / "work"
 # Share of the time for each network; VD-Net carries the shape.
-SHARES = {"vd_net": 0.5, "od_net": 0.2, "bsr_net": 0.12, "cdf_net": 0.18}
+SHARES = {"vd_net": 0.5, "od_net": 0.18, "bsr_net": 0.1, "cdf_net": 0.14, "joint": 0.08}
+# Every second shard's views have any elevation in these bounds, degrees; the others 45.
+ELEVATION = (25, 65)
+SHARD = 1024
 VALIDATION = 9_000_000
 
 
@@ -23,8 +27,8 @@ def run(*command):
     subprocess.run([str(part) for part in command], check=True, cwd=ROOT)
 
 
-def generate(first, count, folder):
-    run("cargo", "run", "--release", "--", "generate", "--seeds", f"{first}..{first + count}", "--out", folder)
+def generate(first, count, folder, *more):
+    run("cargo", "run", "--release", "--", "generate", "--seeds", f"{first}..{first + count}", "--out", folder, *more)
 
 
 def main():
@@ -33,17 +37,23 @@ def main():
     parser.add_argument("--samples", type=int, default=60_000)
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
-    generate(0, arguments.samples, WORK / "train")
+    for first in range(0, arguments.samples, SHARD):
+        generate(first, SHARD, WORK / "train", *(("--elevation", *ELEVATION) if first // SHARD % 2 else ()))
     generate(VALIDATION, 2_048, WORK / "validation")
+    data = "--data", WORK / "train", "--validation", WORK / "validation"
     for name, share in SHARES.items():
-        extra = [part for needed in tasks.TASKS[name].needs for part in ("--helper", f"{needed}={WORK / 'runs' / needed / 'weights.pt'}")]
+        task = tasks.TASKS[name]
+        helpers = [part for needed in task.needs for part in ("--helper", f"{needed}={WORK / 'runs' / needed / 'weights.pt'}")]
+        trained = getattr(task, "networks", (name,))
+        start = ("--initial", ROOT / "models") if trained != (name,) else ()
         run(
-            sys.executable, "training/train.py", name, "--data", WORK / "train", "--validation", WORK / "validation",
-            "--minutes", arguments.hours * 60 * share, "--threads", arguments.threads, *extra,
+            sys.executable, "training/train.py", name, *data, "--minutes", arguments.hours * 60 * share,
+            "--threads", arguments.threads, *helpers, *start,
         )
-        run(sys.executable, "training/export.py", name, WORK / "runs" / name / "weights.pt", "--validation", WORK / "validation")
+        for network in trained:
+            run(sys.executable, "training/export.py", network, WORK / "runs" / name / "weights.pt", "--validation", WORK / "validation")
     run(sys.executable, "training/score.py", "--validation", WORK / "validation", "--threads", arguments.threads)
-    records = [part for name in SHARES for part in ("--record", f"{name}={WORK / 'runs' / name / 'record.json'}")]
+    records = [part for name in nets.SHAPES for part in ("--record", f"{name}={WORK / 'scores' / name}.json")]
     run(sys.executable, "training/manifest.py", *records)
 
 

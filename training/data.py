@@ -1,6 +1,7 @@
 """Shards of `sketch2pq generate`, memory-mapped, as batches of float tensors."""
 
 import json
+import math
 import pathlib
 
 import numpy
@@ -18,6 +19,7 @@ class Shards:
         self.starts = [0]
         self.occluded = []
         self.meta = []
+        self.slopes = []
         self.seen = set()
         self.refresh()
 
@@ -32,6 +34,7 @@ class Shards:
             base = self.starts[-1]
             lines = [json.loads(line) for line in (shard / "meta.jsonl").read_text().splitlines()]
             self.meta.extend(lines)
+            self.slopes.extend(1 / math.tan(math.radians(line["elevation"])) for line in lines)
             self.occluded.extend(base + i for i, line in enumerate(lines) if line["occluded"])
             self.starts.append(base + len(arrays["valid"]))
 
@@ -66,4 +69,5 @@ class Shards:
             "normal": raw["normal"].float() / 127,
             "control": raw["control"].float(),
             "cdf": raw["cdf"].float() / 127,
+            "slope": torch.tensor([self.slopes[index] for index in sorted(indices)]),
         }

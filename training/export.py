@@ -7,6 +7,7 @@ is compared with ONNX Runtime by `cargo test --test infer`.
 
 import argparse
 import io
+import json
 import pathlib
 import shutil
 
@@ -19,6 +20,7 @@ from onnx import TensorProto, helper, numpy_helper
 import data
 import nets
 import tasks
+from train import initial_weights, part_of
 
 MODELS = pathlib.Path(__file__).parent.parent / "models"
 
@@ -40,22 +42,31 @@ def store_fp16(model):
 
 def held_out_inputs(name, folder, count=40):
     """What the network sees of held-out sketches; networks that others build on come from models/."""
-    from train import initial_weights
-
     helpers = {}
     for needed in tasks.TASKS[name].needs:
         helpers[needed] = nets.make(needed).eval()
-        helpers[needed].load_state_dict(initial_weights(MODELS / f"{needed}.onnx"))
+        helpers[needed].load_state_dict(initial_weights(MODELS / f"{needed}.onnx", needed))
     shards = data.Shards(folder)
     chosen = (shards.occluded if tasks.TASKS[name].occluded_only else list(range(len(shards))))[:count]
     generator = torch.Generator().manual_seed(7)
     return tasks.TASKS[name].prepare(shards.batch(chosen), generator, helpers, training=False)["input"]
 
 
+def extend_history(history, log, seen_before):
+    """Appends a run's scores, by all samples that its weights have seen, to those of the runs before it."""
+    lines = history.read_text().splitlines() if history.exists() else []
+    kept = [line for line in lines if json.loads(line)["seen"] <= seen_before]
+    entries = [json.loads(line) for line in log.read_text().splitlines()]
+    for entry in entries:
+        scores = {key: round(value, 5) for key, value in entry["validation"].items()}
+        kept.append(json.dumps({"seen": seen_before + entry["samples"], "end": entry is entries[-1], **scores}))
+    history.write_text("\n".join(kept) + "\n")
+
+
 def export(name, weights, target, validation):
-    inputs, _, _, _, size, _ = nets.SHAPES[name]
+    inputs, _, _, _, size, _, _ = nets.SHAPES[name]
     network = nets.make(name).eval()
-    network.load_state_dict(torch.load(weights, weights_only=True))
+    network.load_state_dict(part_of(torch.load(weights, weights_only=True), name))
     # What runs later has fp16 weights, so compare with those.
     for stored in [*network.parameters(), *network.buffers()]:
         if stored.numel() >= 64:
@@ -80,9 +91,15 @@ def export(name, weights, target, validation):
     target.write_bytes(model.SerializeToString())
     records = target.parent / "records"
     records.mkdir(exist_ok=True)
-    for source, suffix in (("run.json", ".json"), ("curves.png", ".png")):
-        if (weights.parent / source).exists():
-            shutil.copyfile(weights.parent / source, records / (name + suffix))
+    if (weights.parent / "run.json").exists():
+        record = json.loads((weights.parent / "run.json").read_text())
+        earlier = records / f"{name}.json"
+        if record["network"] != name and earlier.exists():
+            record["samples_seen"] += json.loads(earlier.read_text())["samples_seen"]
+        earlier.write_text(json.dumps(record, indent=2) + "\n")
+        if record["network"] == name:
+            extend_history(records / f"{name}.jsonl", weights.parent / "log.jsonl", record["seen_before"])
+        shutil.copyfile(weights.parent / "curves.png", records / f"{name}.png")
     print(f"{target.name}: {target.stat().st_size / 1e6:.1f} MB, differs from PyTorch by {error:.1e}")
 
 

@@ -64,14 +64,17 @@ def mirror(batch):
     normal[:, :, 0] = -normal[:, :, 0]
     cdf[:, :, 0::2] = -cdf[:, :, 0::2]
     control = batch["control"].flip(1) * torch.tensor([-1.0, 1.0, 1.0])
-    return {"strokes": strokes, "valid": flip("valid"), "depth": flip("depth"), "normal": normal, "cdf": cdf, "control": control}
+    return {
+        "strokes": strokes, "valid": flip("valid"), "depth": flip("depth"), "normal": normal, "cdf": cdf, "control": control,
+        "slope": batch["slope"],
+    }
 
 
-def shear(batch, generator, cot_elevation=1.0):
+def shear(batch, generator):
     """Applies a random change of depth that leaves strokes, visibility and conjugacy alone: h' = s h + a x + b y.
 
     The four free parameters of depth that a sketch leaves open (the constant is the reference). Offsets here are of h, and
-    depth = h + y cot(elevation) + reference.
+    depth = h + slope y + reference.
     """
     count = len(batch["depth"])
     draw = lambda low, high: torch.rand(count, generator=generator) * (high - low) + low
@@ -84,11 +87,11 @@ def shear(batch, generator, cot_elevation=1.0):
     control[..., 2] = view(s, 2) * control[..., 2] + view(a, 2) * control[..., 0] + view(b, 2) * control[..., 1]
     # z = -(h + c y): z' = s z - a x - (b + c - s c) y. The map of points is M = [[1,0,0],[0,1,0],[-a,-(b+c-sc),s]], so
     # normals go with M^-T, up to length: n' = (s n_x + a n_z, s n_y + (b + c - s c) n_z, n_z).
-    c = cot_elevation
+    c = view(batch["slope"], 3)
     n = batch["normal"]
     z = n[:, :, 2]
     normal = torch.stack(
-        [view(s, 3) * n[:, :, 0] + view(a, 3) * z, view(s, 3) * n[:, :, 1] + view(b + c - s * c, 3) * z, z], 2
+        [view(s, 3) * n[:, :, 0] + view(a, 3) * z, view(s, 3) * n[:, :, 1] + (view(b, 3) + c - view(s, 3) * c) * z, z], 2
     )
     return {**batch, "depth": depth, "control": control, "normal": F.normalize(normal, dim=2) * valid[:, :, None]}
 

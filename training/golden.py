@@ -1,6 +1,6 @@
 """Writes tests/golden/contract/training.json: what training feeds the networks, for the Rust tests to compare with.
 
-Inputs are closed formulas, so that both sides can make them: see the fields of the file and `tests/contract.rs`.
+Inputs are closed formulas, so that both sides can make them: see the fields of the file and `src/infer`.
 """
 
 import json
@@ -51,6 +51,29 @@ def bsr_case():
     return {"places": places, "values": [inputs[p].item() for p in places]}
 
 
+def depth_case():
+    """Inputs of VD-Net and OD-Net: stroke channel c at (row, column) = sin(0.3 c + 0.11 row + 0.07 column); visible h and normal
+    likewise with c = 20 to 23; two visible samples and one occluded; slope 1.7."""
+    wave = lambda channels: torch.sin(
+        0.3 * torch.tensor(channels, dtype=torch.float32)[:, None, None]
+        + 0.11 * torch.arange(64)[None, :, None] + 0.07 * torch.arange(64)[None, None, :]
+    )[None]
+    points = [(1.0, -2.0, 0.4), (-2.5, 1.0, -0.3), (0.5, 0.25, 0.6)]
+    slots, values = torch.zeros(1, 6, 2), torch.zeros(1, 6)
+    for i, (x, y, h) in enumerate(points):
+        slots[0, i], values[0, i] = torch.tensor([x, y]), h
+    slot = torch.arange(6)[None]
+    samples = (slots, values, slot < 2, slot == 2)
+    batch = {"strokes": wave(list(range(10))), "slope": torch.tensor([1.7])}
+    _, _, vd = tasks.VdNet.assemble(batch, samples)
+    _, _, od = tasks.OdNet.assemble(batch, samples, wave([20])[:, 0], wave([21, 22, 23]))
+    case = {"samples": points}
+    for name, inputs in (("vd", vd[0]), ("od", od[0])):
+        places = [(channel, (7 * channel + 3) % 64, (11 * channel + 5) % 64) for channel in range(len(inputs))]
+        case[name] = {"places": places, "values": [inputs[p].item() for p in places]}
+    return case
+
+
 def polyvector_case():
     coefficients = torch.tensor([[0.3, 1.2, -0.5, 0.4], [2.0, 0.0, 1.0, 0.0], [-0.1, 0.2, 0.9, -0.3]])
     return {"coefficients": coefficients.tolist(), "angles_deg": tasks.angles(coefficients).tolist()}
@@ -58,5 +81,5 @@ def polyvector_case():
 
 if __name__ == "__main__":
     TARGET.parent.mkdir(parents=True, exist_ok=True)
-    content = {"sample_base": sample_base_cases(), "bsr_input": bsr_case(), "polyvector": polyvector_case()}
+    content = {"sample_base": sample_base_cases(), "bsr_input": bsr_case(), "depth_inputs": depth_case(), "polyvector": polyvector_case()}
     TARGET.write_text(json.dumps(content, indent=1) + "\n")

@@ -31,10 +31,11 @@ def to_up(x):
     return torch.roll(x, 1, -2)
 
 
-def layer_terms(h, normal, true_h, true_normal, side, weights, cot_elevation):
+def layer_terms(h, normal, true_h, true_normal, side, slope, weights):
     """E_dat, E_smo and E_comp of one layer.
 
-    h (B, 64, 64), normal (B, 3, 64, 64) unit, side (B, 64, 64): 0 none, 1 front, 2 back.
+    h (B, 64, 64), normal (B, 3, 64, 64) unit, side (B, 64, 64): 0 none, 1 front, 2 back,
+    slope (B,): depth that a horizontal plane gains per unit of y.
     """
     valid = side > 0
     right, up = neighbours(side)
@@ -48,9 +49,9 @@ def layer_terms(h, normal, true_h, true_normal, side, weights, cot_elevation):
         smooth = smooth + mean(
             weights["tau_d"] * step.square() + weights["tau_n"] * (shift(normal) - normal).square().sum(1), mask
         )
-        # z = -(h + y cot e + reference)
-        slope = -(step / PIXEL + (cot_elevation if axis == 1 else 0.0))
-        compatible = compatible + mean((normal[:, axis] + slope * normal[:, 2]).square(), mask)
+        # z = -(h + slope y + reference)
+        gain = -(step / PIXEL + (slope[:, None, None] if axis == 1 else 0.0))
+        compatible = compatible + mean((normal[:, axis] + gain * normal[:, 2]).square(), mask)
     return data, smooth, compatible
 
 

@@ -20,17 +20,19 @@ STROKES = (
     "4-7 coverage of visible-front, visible-back, occluded-front, occluded-back regions; "
     "8-9 feature proximity times (cos 2t, sin 2t) of the feature direction, x right, y up"
 )
+VIEW = "{} cot(elevation of the view) - 1, constant"
 LAYER = (
     "0 g_front, 1 g_back, 2-4 n_front, 5-7 n_back; h = base + std * g in canonical units; normals outward, camera frame, not normalized"
 )
 NETWORKS = {
     "vd_net": (
-        f"{STROKES}; 10 base, 11 std of the visible depth offset given the samples, canonical units",
+        f"{STROKES}; 10 base, 11 std of the visible depth offset given the visible samples, 12, 13 the same of the occluded one given the occluded samples, "
+        f"canonical units; {VIEW.format(14)}",
         LAYER,
     ),
     "od_net": (
         f"{STROKES}; 10 base, 11 std of the difference between occluded and visible depth offset, canonical units; "
-        "12 visible depth offset, canonical units; 13-15 visible normal; both 0 where nothing is visible",
+        f"12 visible depth offset, canonical units; 13-15 visible normal; both 0 where nothing is visible; {VIEW.format(16)}",
         f"{LAYER}; h relative to the visible depth offset",
     ),
     "bsr_net": (
@@ -49,8 +51,8 @@ NETWORKS = {
 
 # Input and output shape of each network, NCHW, as `src/infer/models.rs` expects them.
 SHAPES = {
-    "vd_net": ([1, 12, 64, 64], [1, 8, 64, 64]),
-    "od_net": ([1, 16, 64, 64], [1, 8, 64, 64]),
+    "vd_net": ([1, 15, 64, 64], [1, 8, 64, 64]),
+    "od_net": ([1, 17, 64, 64], [1, 8, 64, 64]),
     "bsr_net": ([1, 17, 30, 30], [1, 3, 30, 30]),
     "cdf_net": ([1, 16, 64, 64], [1, 8, 64, 64]),
 }

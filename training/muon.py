@@ -37,9 +37,15 @@ class Muon(torch.optim.Optimizer):
                 weight.add_(step.reshape(weight.shape), alpha=-0.2 * group["lr"] * max(step.shape) ** 0.5)
 
 
-def optimizers(model, rate, weight_decay):
-    """Muon for the inner convolutions of a U-Net, AdamW for its stem, head and biases."""
-    inner = [p for name, p in model.named_parameters() if p.ndim == 4 and not name.startswith(("stem", "head"))]
-    chosen = {id(p) for p in inner}
-    others = [p for p in model.parameters() if id(p) not in chosen]
-    return [Muon(inner, rate, weight_decay=weight_decay), torch.optim.AdamW(others, rate, weight_decay=weight_decay, fused=True)]
+def optimizers(model, rate, weight_decay, shares):
+    """Muon for the inner convolutions of U-Nets, AdamW for stems, heads, positions and biases.
+
+    `shares` has the share of `rate` for the parameters of a part of the model, by the beginning of their names; 1 elsewhere.
+    """
+    muon, adam = {}, {}
+    for name, parameter in model.named_parameters():
+        share = next((value for start, value in shares.items() if name.startswith(start)), 1.0)
+        inner = parameter.ndim == 4 and not {"stem", "head", "position"} & set(name.split("."))
+        (muon if inner else adam).setdefault(share, []).append(parameter)
+    groups = lambda parts: [{"params": parameters, "share": share, "lr": rate * share} for share, parameters in parts.items()]
+    return [Muon(groups(muon), rate, weight_decay=weight_decay), torch.optim.AdamW(groups(adam), rate, weight_decay=weight_decay, fused=True)]

@@ -13,12 +13,12 @@ from torch.nn import functional as F
 MAP = 64
 NET = 30
 
-# name: (input channels, output channels, widths per level, residual blocks per level, map size, folding)
+# name: (input channels, output channels, widths per level, residual blocks per level, map size, folding, attention)
 SHAPES = {
-    "vd_net": (12, 8, (64, 128, 256), 2, MAP, 2),
-    "od_net": (16, 8, (64, 128, 192), 2, MAP, 2),
-    "bsr_net": (17, 3, (64, 96, 128), 2, NET, 1),
-    "cdf_net": (16, 8, (64, 128, 160), 2, MAP, 2),
+    "vd_net": (15, 8, (64, 128, 256), 2, MAP, 2, True),
+    "od_net": (17, 8, (64, 128, 192), 2, MAP, 2, False),
+    "bsr_net": (17, 3, (64, 96, 128), 2, NET, 1, False),
+    "cdf_net": (16, 8, (64, 128, 160), 2, MAP, 2, False),
 }
 
 
@@ -34,10 +34,38 @@ class Residual(nn.Module):
         return x + self.second(F.relu(self.first(F.relu(x))))
 
 
-class UNet(nn.Module):
-    """Encoder and decoder with skip connections; the position in the map is an extra input."""
+class Attention(nn.Module):
+    """Every pixel looks at all others (multi-head self-attention): shape is integrated across the whole canvas in one step."""
 
-    def __init__(self, inputs, outputs, widths, blocks, size, folding):
+    HEAD = 32
+
+    def __init__(self, width, size):
+        super().__init__()
+        self.heads = width // self.HEAD
+        self.position = nn.Parameter(torch.zeros(1, width, size, size))
+        self.ask = nn.Conv2d(width, 3 * width, 1)
+        self.answer = nn.Conv2d(width, width, 1)
+        nn.init.normal_(self.position, std=0.02)
+        nn.init.zeros_(self.answer.weight)
+        nn.init.zeros_(self.answer.bias)
+
+    def forward(self, x):
+        _, width, height, length = x.shape
+        asked = self.ask(F.relu(x) + self.position.to(x.dtype))
+        asked = asked.reshape(-1, 3, self.heads, self.HEAD, height * length)
+        query, key, value = asked[:, 0], asked[:, 1], asked[:, 2]
+        weights = (query.transpose(-1, -2) @ key * self.HEAD**-0.5).softmax(-1)
+        seen = (value @ weights.transpose(-1, -2)).reshape(-1, width, height, length)
+        return x + self.answer(seen)
+
+
+class UNet(nn.Module):
+    """Encoder and decoder with skip connections; the position in the map is an extra input.
+
+    With `attention`, one follows each residual block of the coarsest level.
+    """
+
+    def __init__(self, inputs, outputs, widths, blocks, size, folding, attention):
         super().__init__()
         coarsest = folding * 2 ** (len(widths) - 1)
         self.padded = -(-size // coarsest) * coarsest
@@ -49,6 +77,8 @@ class UNet(nn.Module):
         self.stem = nn.Conv2d(inputs + 2, widths[0], folding + 2, padding=1, stride=folding)
         level = lambda width: nn.Sequential(*[Residual(width) for _ in range(blocks)])
         self.encoder = nn.ModuleList(level(width) for width in widths)
+        coarse = self.padded // coarsest
+        self.attention = nn.ModuleList(Attention(widths[-1], coarse) for _ in range(blocks if attention else 0))
         self.down = nn.ModuleList(nn.Conv2d(a, b, 2, stride=2) for a, b in zip(widths, widths[1:]))
         self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(widths, widths[1:]))
         self.decoder = nn.ModuleList(level(width) for width in widths[:-1])
@@ -69,7 +99,10 @@ class UNet(nn.Module):
             x = encode(x)
             skips.append(x)
             x = down(x)
-        x = self.encoder[-1](x)
+        for k, encode in enumerate(self.encoder[-1]):
+            x = encode(x)
+            if len(self.attention):
+                x = self.attention[k](x)
         for skip, up, decode in reversed(list(zip(skips, self.up, self.decoder))):
             x = decode(skip + F.interpolate(up(x), scale_factor=2, mode="nearest"))
         x = self.head(F.relu(x))

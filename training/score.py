@@ -1,7 +1,7 @@
-"""Scores trained weights on held-out sketches against the best constant answers:
+"""Scores exported networks on held-out sketches against the best constant answers:
 `python training/score.py --validation work/validation`.
 
-Reads work/runs/NAME/weights.pt and run.json, writes work/runs/NAME/record.json for `manifest.py`, prints one line each.
+Reads models/NAME.onnx and models/records/NAME.json, writes work/scores/NAME.json for `manifest.py`, prints one line each.
 For the depth networks `d_plane` is the best plane of each case, which knows the answer; `d_constant` the one plane that is
 best for all cases together.
 """
@@ -41,7 +41,8 @@ def common_plane_error(prepared, layer):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--validation", required=True)
-    parser.add_argument("--runs", type=pathlib.Path, default=pathlib.Path("work/runs"))
+    parser.add_argument("--models", type=pathlib.Path, default=HERE.parent / "models")
+    parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("work/scores"))
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
@@ -49,10 +50,10 @@ def main():
     held_out = data.Shards(arguments.validation)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True).stdout.strip()
     networks = {}
-    for name, task in tasks.TASKS.items():
-        weights = arguments.runs / name / "weights.pt"
+    for name in nets.SHAPES:
+        task = tasks.TASKS[name]
         networks[name] = nets.make(name).eval()
-        networks[name].load_state_dict(torch.load(weights, weights_only=True))
+        networks[name].load_state_dict(train.initial_weights(arguments.models / f"{name}.onnx", name))
         chosen = (held_out.occluded if task.occluded_only else list(range(len(held_out))))[: arguments.count]
         generator = torch.Generator().manual_seed(7)
         prepared = [task.prepare(held_out.batch(chosen[i : i + 50]), generator, networks, training=False) for i in range(0, len(chosen), 50)]
@@ -67,9 +68,10 @@ def main():
                 scores[f"{key}_3_and_more_samples"] = train.average([merged[key][i] for i in many])
             scores["d_constant"] = common_plane_error(prepared, 1 if task.occluded_only else 0)
         scores["cases"] = len(chosen)
-        seen = torch.load(arguments.runs / name / "checkpoint.pt", weights_only=False)["samples"]
+        seen = json.loads((arguments.models / "records" / f"{name}.json").read_text())["samples_seen"]
         record = {"commit": commit, "samples_seen": seen, "scores": scores}
-        (arguments.runs / name / "record.json").write_text(json.dumps(record, indent=2) + "\n")
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
         print(name, seen, {key: round(value, 4) for key, value in scores.items()}, flush=True)
 
 

@@ -3,13 +3,14 @@
 import math
 
 import torch
+from torch import nn
 from torch.nn import functional as F
 
 import geometry
 import losses
+import nets
 from geometry import MAP, POSITIONS
 
-COT_ELEVATION = 1.0  # the generator's default view, 45 degrees
 SLOTS = 6
 
 
@@ -41,6 +42,11 @@ def with_reference(batch, generator):
     return {**batch, "depth": depth, "control": control}, samples
 
 
+def view(batch):
+    """The channel that tells the view: its slope less that of 45 degrees, constant over the map (B, 1, 64, 64)."""
+    return (batch["slope"] - 1)[:, None, None, None].expand(-1, 1, MAP, MAP)
+
+
 def split_sides(output, side):
     """g and unit normal of the side (front or back) that each pixel shows."""
     front = (side != 2)[:, None]
@@ -49,23 +55,49 @@ def split_sides(output, side):
     return g, F.normalize(normal, dim=1, eps=1e-3)
 
 
-def predict(network, inputs, fast=False):
-    """What a network answers, without gradients, on the CPU; `fast` computes in bf16."""
+def answer(network, inputs, fast):
+    """What a network answers, on the CPU, where the data and the losses are; `fast` computes in bf16."""
     device = next(network.parameters()).device
-    with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=fast):
+    with torch.autocast(device.type, torch.bfloat16, enabled=fast):
         return network(inputs.to(device, memory_format=torch.channels_last)).float().cpu()
 
 
-class VdNet:
-    name = "vd_net"
+def predict(network, inputs, fast=False):
+    """`answer` without gradients."""
+    with torch.no_grad():
+        return answer(network, inputs, fast)
+
+
+class Task:
+    """A network by `name`, the networks that it builds on, and whether it sees sketches with an occluded layer only."""
+
     needs = ()
     occluded_only = False
 
+    def network(self):
+        return nets.make(self.name)
+
+    def answer(self, network, prepared, fast):
+        return answer(network, prepared["input"], fast)
+
+
+class VdNet(Task):
+    name = "vd_net"
+
     def prepare(self, batch, generator, helpers, training=True):
         batch, samples = with_reference(batch, generator)
-        points, values, on_visible, _ = samples
+        base, std, inputs = self.assemble(batch, samples)
+        return {**batch, "samples": samples, "base": base, "std": std, "input": inputs}
+
+    @staticmethod
+    def assemble(batch, samples):
+        """Base and deviation of the visible layer, and the input (B, 15, 64, 64)."""
+        points, values, on_visible, on_occluded = samples
         base, std = geometry.sample_base(points, values, on_visible)
-        return {**batch, "samples": samples, "base": base, "std": std, "input": torch.cat([batch["strokes"], base, std], 1)}
+        # Samples behind tell of the free parameters too, which both layers share. Alone they come too seldom to learn from;
+        # inference then lets OD-Net find the level.
+        behind = geometry.sample_base(points, values, on_occluded & on_visible.any(1, keepdim=True))
+        return base, std, torch.cat([batch["strokes"], base, std, *behind, view(batch)], 1)
 
     def decode(self, output, prepared):
         side = prepared["valid"][:, 0]
@@ -78,7 +110,7 @@ class VdNet:
         side = prepared["valid"][:, 0]
         h, normal = self.decode(output, prepared)
         data, smooth, compatible = losses.layer_terms(
-            h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], side, weights, COT_ELEVATION
+            h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], side, prepared["slope"], weights
         )
         points, values, given, _ = prepared["samples"]
         depth = losses.mean((geometry.lookup(h[:, None], points)[:, 0] - values).square(), given)
@@ -93,7 +125,7 @@ class VdNet:
         return scores["d"] / max(scores["d_plane"], 1e-9)
 
 
-class OdNet:
+class OdNet(Task):
     name = "od_net"
     needs = ("vd_net",)
     occluded_only = True
@@ -101,11 +133,16 @@ class OdNet:
     def prepare(self, batch, generator, helpers, training=True):
         vd = VdNet().prepare(batch, generator, helpers, training)
         h, normal = VdNet().decode(predict(helpers["vd_net"], vd["input"], fast=training), vd)
-        points, values, _, on_occluded = vd["samples"]
+        base, std, inputs = self.assemble(vd, vd["samples"], h, normal)
+        return {**vd, "visible_h": h, "visible_normal": normal, "base": base, "std": std, "input": inputs}
+
+    @staticmethod
+    def assemble(batch, samples, h, normal):
+        """Base and deviation of the distance between the layers, and the input (B, 17, 64, 64)."""
+        points, values, _, on_occluded = samples
         difference = values - geometry.lookup(h[:, None], points)[:, 0]
         base, std = geometry.sample_base(points, difference, on_occluded)
-        inputs = torch.cat([batch["strokes"], base, std, h[:, None], normal], 1)
-        return {**vd, "visible_h": h, "visible_normal": normal, "base": base, "std": std, "input": inputs}
+        return base, std, torch.cat([batch["strokes"], base, std, h[:, None], normal, view(batch)], 1)
 
     def decode(self, output, prepared):
         side = prepared["valid"][:, 1]
@@ -118,7 +155,7 @@ class OdNet:
         side = prepared["valid"][:, 1]
         h, normal = self.decode(output, prepared)
         data, smooth, compatible = losses.layer_terms(
-            h, normal, prepared["depth"][:, 1], prepared["normal"][:, 1], side, weights, COT_ELEVATION
+            h, normal, prepared["depth"][:, 1], prepared["normal"][:, 1], side, prepared["slope"], weights
         )
         points, values, _, given = prepared["samples"]
         depth = losses.mean((geometry.lookup(h[:, None], points)[:, 0] - values).square(), given)
@@ -156,14 +193,13 @@ def layer_scores(h, normal, true_h, true_normal, valid, prepared):
     return results
 
 
-class BsrNet:
+class BsrNet(Task):
     name = "bsr_net"
     needs = ("vd_net", "od_net")
-    occluded_only = False
     basis = geometry.basis_matrix(100)
 
     def prepare(self, batch, generator, helpers, training=True):
-        batch = geometry.shear(batch, generator, COT_ELEVATION) if training else batch
+        batch = geometry.shear(batch, generator) if training else batch
         od = OdNet().prepare(batch, generator, helpers, training)
         hidden = OdNet().decode(predict(helpers["od_net"], od["input"], fast=training), od)
         valid = od["valid"]
@@ -183,15 +219,20 @@ class BsrNet:
         control = follow(od["control"], od["depth"], error, seen)
         if training:
             control = dihedral(control, int(torch.randint(0, 4, (1,), generator=generator)))
-        depth = od["depth"] + error
         net = geometry.coons(control)
-        maps = torch.cat(
+        maps = self.maps(valid, od["depth"] + error, normal, od["strokes"])
+        return {**od, "control": control, "coons": net, "input": self.assemble(net, maps)}
+
+    @staticmethod
+    def maps(valid, depth, normal, strokes):
+        """The 13 maps that `assemble` looks up, of both layers' validity, depth (B, 2, 64, 64) and normals (B, 2, 3, 64, 64)."""
+        seen = (valid > 0).float()
+        return torch.cat(
             [
                 seen[:, :1], depth[:, :1], (valid[:, :1] == 1).float(), (valid[:, :1] == 2).float(), normal[:, 0],
-                seen[:, 1:], depth[:, 1:], normal[:, 1], od["strokes"][:, 2:3],
+                seen[:, 1:], depth[:, 1:], normal[:, 1], strokes[:, 2:3],
             ], 1,
         )
-        return {**od, "control": control, "coons": net, "input": self.assemble(net, maps)}
 
     @staticmethod
     def assemble(net, maps):
@@ -268,13 +309,12 @@ def dihedral(control, turns):
     return control.contiguous()
 
 
-class CdfNet:
+class CdfNet(Task):
     name = "cdf_net"
     needs = ("vd_net", "od_net")
-    occluded_only = False
 
     def prepare(self, batch, generator, helpers, training=True):
-        batch = geometry.shear(batch, generator, COT_ELEVATION) if training else batch
+        batch = geometry.shear(batch, generator) if training else batch
         seen = (batch["valid"] > 0).float()
         # It will see the normals that the depth networks predict. A quarter of the samples have true ones with smooth noise
         # instead, so that it stays right when those networks get better.
@@ -336,4 +376,61 @@ def pair_error(first, second):
     return torch.minimum(straight, crossed) / 2
 
 
-TASKS = {task.name: task for task in (VdNet(), OdNet(), BsrNet(), CdfNet())}
+class JointNetwork(nn.Module):
+    """VD-Net, OD-Net on its answer, BSR-Net on both."""
+
+    def __init__(self):
+        super().__init__()
+        self.vd_net, self.od_net, self.bsr_net = (nets.make(name) for name in Joint.networks)
+
+    def forward(self, prepared, fast):
+        """Answers of the three, and what OdNet.prepare and BsrNet.prepare make on the way."""
+        vd = answer(self.vd_net, prepared["input"], fast)
+        h, normal = VdNet().decode(vd, prepared)
+        base, std, inputs = OdNet.assemble(prepared, prepared["samples"], h, normal)
+        od_prepared = {**prepared, "visible_h": h, "visible_normal": normal, "base": base, "std": std}
+        od = answer(self.od_net, inputs, fast)
+        hidden_h, hidden_normal = OdNet().decode(od, od_prepared)
+        net = geometry.coons(prepared["control"])
+        layers = torch.stack([h, hidden_h], 1), torch.stack([normal, hidden_normal], 1)
+        bsr = answer(self.bsr_net, BsrNet.assemble(net, BsrNet.maps(prepared["valid"], *layers, prepared["strokes"])), fast)
+        return vd, od, bsr, {**od_prepared, "coons": net}
+
+
+class Joint(Task):
+    """The paper's last stage: the three networks of the surface together, on the sum of their losses (Sec. 3.2.4).
+
+    Unlike BSR-Net alone, which learns the net of what the depth networks see, its target here is the true one.
+    """
+
+    name = "joint"
+    networks = ("vd_net", "od_net", "bsr_net")
+
+    def network(self):
+        return JointNetwork()
+
+    def prepare(self, batch, generator, helpers, training=True):
+        return VdNet().prepare(batch, generator, helpers, training)
+
+    def answer(self, network, prepared, fast):
+        return network(prepared, fast)
+
+    def loss(self, output, prepared, weights):
+        vd, od, bsr, built = output
+        total, terms = 0.0, {}
+        for task, values, given in ((VdNet(), vd, prepared), (OdNet(), od, built), (BsrNet(), bsr, built)):
+            loss, parts = task.loss(values, given, weights[task.name])
+            total = total + loss
+            terms.update({f"{task.name}.{name}": value for name, value in parts.items()})
+        return total, terms
+
+    def scores(self, output, prepared):
+        vd, _, bsr, built = output
+        surface = BsrNet().scores(bsr, built)
+        return {**VdNet().scores(vd, prepared), "d_net": surface["d"], "d_net_coons": surface["d_coons"]}
+
+    def headline(self, scores):
+        return scores["d_net"] / max(scores["d_net_coons"], 1e-9)
+
+
+TASKS = {task.name: task for task in (VdNet(), OdNet(), BsrNet(), CdfNet(), Joint())}

@@ -13,6 +13,11 @@ import unittest
 import torch
 
 HERE = pathlib.Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+import nets
+import train
+
 BINARY = HERE.parent / "target" / "release" / "sketch2pq"
 
 
@@ -57,6 +62,16 @@ class Training(unittest.TestCase):
         _, entries = self.train("overfit", "--samples", "12800", "--overfit", "32")
         _, begin = self.train("begin", "--samples", "32", "--overfit", "32")
         self.assertLess(entries[-1]["loss"], 0.2 * begin[-1]["loss"])
+
+    def test_earlier_weights_start_a_wider_network(self):
+        inputs, outputs, *rest = nets.SHAPES["vd_net"]
+        earlier = nets.UNet(inputs - 3, outputs, *rest[:-1], False)
+        torch.nn.init.normal_(earlier.head.weight)
+        torch.save(earlier.state_dict(), self.work / "earlier.pt")
+        later = nets.make("vd_net")
+        later.load_state_dict(train.initial_weights(self.work / "earlier.pt", "vd_net"))
+        maps = torch.randn(2, inputs, nets.MAP, nets.MAP)
+        self.assertTrue(torch.allclose(later(maps), earlier(maps[:, :-3]), atol=1e-4))
 
 
 if __name__ == "__main__":

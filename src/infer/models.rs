@@ -48,8 +48,9 @@ impl Network {
     /// Shape of the input, NCHW.
     pub fn input_shape(self) -> [usize; 4] {
         match self {
-            Self::Vd => [1, 12, 64, 64],
-            Self::Od | Self::Cdf => [1, 16, 64, 64],
+            Self::Vd => [1, 15, 64, 64],
+            Self::Od => [1, 17, 64, 64],
+            Self::Cdf => [1, 16, 64, 64],
             Self::Bsr => [1, 17, 30, 30],
         }
     }
@@ -345,7 +346,7 @@ mod tests {
         let error = models.load(Network::Vd, &Backend::embedded(1, String::new())).err().unwrap();
         assert_eq!(
             error.to_string(),
-            "model vd_net: the input in its file has shape [1, 16, 64, 64], expected [1, 12, 64, 64]"
+            "model vd_net: the input in its file has shape [1, 16, 64, 64], expected [1, 15, 64, 64]"
         );
     }
 

@@ -56,6 +56,11 @@ impl<'a> SketchMaps<'a> {
         self.raster.channel(COVERAGE_CHANNEL + region)
     }
 
+    /// What tells the depth networks the view: the slope less that of 45 degrees, constant over the map.
+    pub(super) fn view_channel(&self) -> [f32; MAP_PIXELS] {
+        [(self.slope - 1.0) as f32; MAP_PIXELS]
+    }
+
     fn has_occluded_layer(&self) -> bool {
         (0..MAP_PIXELS).any(|pixel| self.raster.occluded_coverage(pixel) > 0.0)
     }
@@ -128,22 +133,22 @@ impl Networks {
         let level = |offsets: &[[f64; 3]]| offsets.iter().map(|s| s[2]).sum::<f64>() / offsets.len().max(1) as f64;
         let mut reference = level(&maps.offsets(Layer::Visible, 0.0));
         let samples = maps.offsets(Layer::Visible, reference);
-        let visible = self.vd.predict(maps, &samples)?;
+        let mut behind = maps.offsets(Layer::Occluded, reference);
+        let visible = self.vd.predict(maps, &samples, if samples.is_empty() { &[] } else { &behind })?;
         control.check()?;
         let mut occluded = None;
         if maps.has_occluded_layer() {
-            let mut hidden = maps.offsets(Layer::Occluded, reference);
-            if samples.is_empty() && !hidden.is_empty() {
+            if samples.is_empty() && !behind.is_empty() {
                 // Nothing ties the visible layer to the samples yet: let the unconstrained prediction do so.
                 let free = self.od.predict(maps, &visible, &[])?;
                 control.check()?;
-                for [x, y, h] in &mut hidden {
+                for [x, y, h] in &mut behind {
                     *h -= free.at(*x, *y).map_or(0.0, |(h, _)| h);
                 }
-                reference = level(&hidden);
-                hidden = maps.offsets(Layer::Occluded, reference);
+                reference = level(&behind);
+                behind = maps.offsets(Layer::Occluded, reference);
             }
-            occluded = Some(self.od.predict(maps, &visible, &hidden)?);
+            occluded = Some(self.od.predict(maps, &visible, &behind)?);
             control.check()?;
         }
         Ok(DepthPrediction { visible, occluded, reference, slope: maps.slope })
@@ -188,8 +193,12 @@ impl Networks {
 #[cfg(test)]
 mod tests {
     use super::super::NET_POINTS;
+    use super::super::layers::LayerPrediction;
     use super::super::maps::pixel_center;
+    use super::super::models::Network;
+    use super::super::{od_net, vd_net};
     use super::*;
+    use crate::sketch::MAP_SIZE;
 
     fn networks() -> Networks {
         let options = BackendOptions { choice: BackendChoice::Embedded, threads: 1, ..Default::default() };
@@ -252,6 +261,41 @@ mod tests {
             let moved: Vec<_> = samples.iter().map(|s| CanonicalSample { depth: s.depth + 3.5, ..*s }).collect();
             for (a, b) in depths(samples).into_iter().zip(depths(&moved)) {
                 assert!((a + 3.5 - b).abs() < 1e-5);
+            }
+        }
+    }
+
+    /// The contract with `training/`: see `depth_case` in its `golden.py`.
+    #[test]
+    fn the_inputs_are_what_training_makes_of_the_same_maps() {
+        let golden = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/contract/training.json"));
+        let golden: serde_json::Value = serde_json::from_str(golden).unwrap();
+        let case = &golden["depth_inputs"];
+        let wave = |c: usize, pixel: usize| {
+            let (row, column) = (pixel / MAP_SIZE, pixel % MAP_SIZE);
+            (0.3 * c as f64 + 0.11 * row as f64 + 0.07 * column as f64).sin() as f32
+        };
+        let data = (0..STROKE_CHANNELS * MAP_PIXELS).map(|k| wave(k / MAP_PIXELS, k % MAP_PIXELS)).collect();
+        let raster = Raster { data };
+        let maps = SketchMaps { raster: &raster, samples: &[], slope: 1.7 };
+        let samples: Vec<[f64; 3]> = serde_json::from_value(case["samples"].clone()).unwrap();
+        let visible = LayerPrediction {
+            depth_offset: (0..MAP_PIXELS).map(|pixel| wave(20, pixel)).collect(),
+            normals: (0..MAP_PIXELS).map(|pixel| [21, 22, 23].map(|c| wave(c, pixel))).collect(),
+            coverage_front: vec![1.0; MAP_PIXELS],
+            coverage_back: vec![0.0; MAP_PIXELS],
+        };
+        let (_, vd) = vd_net::assemble(&maps, &samples[..2], &samples[2..]);
+        let (_, od) = od_net::assemble(&maps, &visible, &samples[2..]);
+        for (name, input, network) in [("vd", vd, Network::Vd), ("od", od, Network::Od)] {
+            assert_eq!(input.len(), network.input_shape().iter().product::<usize>());
+            let values = case[name]["values"].as_array().unwrap();
+            assert_eq!(values.len() * MAP_PIXELS, input.len());
+            for (place, value) in case[name]["places"].as_array().unwrap().iter().zip(values) {
+                let [c, row, column] = [0, 1, 2].map(|k| place[k].as_u64().unwrap() as usize);
+                let (found, expected) =
+                    (input[c * MAP_PIXELS + row * MAP_SIZE + column], value.as_f64().unwrap() as f32);
+                assert!((found - expected).abs() < 1e-4, "{name}, channel {c}: {found}, training has {expected}");
             }
         }
     }
