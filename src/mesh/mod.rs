@@ -1,6 +1,7 @@
 //! Panel meshes: extraction from a map, borders, planarity, planarization.
 
 mod border;
+mod chords;
 mod extract;
 mod isolines;
 mod obj;
@@ -14,6 +15,7 @@ mod split;
 mod topology;
 
 pub use border::{BorderMode, Repairs};
+pub use chords::BorderSag;
 pub use extract::{
     EdgeFamily, ExtractOptions, ExtractedMesh, PanelTarget, VertexKind, VertexOrigin, extract, grid_triples, panels,
 };
