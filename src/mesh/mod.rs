@@ -3,6 +3,7 @@
 mod border;
 mod chords;
 mod extract;
+mod feature_lines;
 mod isolines;
 mod obj;
 mod offsets;
@@ -19,6 +20,7 @@ pub use chords::BorderSag;
 pub use extract::{
     EdgeFamily, ExtractOptions, ExtractedMesh, PanelTarget, VertexKind, VertexOrigin, extract, grid_triples, panels,
 };
+pub use feature_lines::{FeaturePiece, feature_angle, feature_pieces};
 pub use obj::{read_obj, write_obj};
 pub use offsets::{OffsetKind, circularity, conicality};
 pub use panel_mesh::PanelMesh;
