@@ -330,7 +330,7 @@ const BORDER_LIMIT: f64 = 1e-3;
 const LARGEST_WEIGHT: f64 = 1e5;
 
 /// Most attempts at a planar mesh that turns no face over and collapses no edge.
-const ATTEMPTS: usize = 6;
+const ATTEMPTS: usize = 9;
 
 /// Newton rounds of the first attempt in search of the best compromise of the soft terms, and of each later one, which goes on from there.
 const BALANCE_ROUNDS: [usize; 2] = [40, 12];
@@ -342,7 +342,7 @@ const HALVINGS: usize = 2;
 const STIFFENINGS: usize = 2;
 
 /// Attempts to draw in a planar mesh that strays too far; all but the first let faces be split.
-const DRAWN_IN: usize = 3;
+const DRAWN_IN: usize = 5;
 
 /// Bound of the factor on an edge's stretch weight.
 const LARGEST_STIFFNESS: f64 = 1e4;
