@@ -47,7 +47,7 @@ def row(name, faces, ms, vertices, quads):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--faces", type=int, nargs="+", default=[500, 5000])
+    parser.add_argument("--faces", type=int, nargs="+", default=[500])
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--cells", type=int, default=48, help="cells along a side of the triangulations that both get")
     arguments = parser.parse_args()
