@@ -38,7 +38,7 @@ pub struct FieldOptions {
     /// Pull of the crossing angle towards 90 degrees, in the same unit.
     pub orthogonality_weight: f64,
     /// A triangle is flat, and conjugacy ignored there, where |II| is below this share of its root mean square over the surface (or below
-    /// this share of 1 / sqrt(area)).
+    /// this share of 1 / sqrt(area)); radii of curvature below the size of a triangle count as that size.
     pub flatness: f64,
     /// Weight of the integral of II(u, v)^2 in the layout: where curvature is k, the field gives way to conjugacy over a distance of
     /// about 1 / (k sqrt(weight)).
@@ -344,10 +344,15 @@ impl<'a> Problem<'a> {
         let floor = options.crossing_floor_deg.to_radians();
         let area: f64 = frames.areas.iter().sum();
         let share: Vec<f64> = frames.areas.iter().map(|a| a / area).collect();
-        let mean_square: f64 = forms.iter().zip(&share).map(|(f, a)| f.norm().powi(2) * a).sum();
+        // A triangle cannot tell a radius of curvature below its own size: a spike at a nearly collapsed corner must neither weigh without
+        // bound nor make the rest of the surface count as flat.
+        let curvature = |t: usize| {
+            let square = forms[t].norm().powi(2);
+            square / (1.0 + frames.areas[t] * square)
+        };
+        let mean_square: f64 = share.iter().enumerate().map(|(t, a)| curvature(t) * a).sum();
         let least = options.flatness * mean_square.sqrt().max(area.sqrt().recip());
         let flat: Vec<bool> = forms.iter().map(|f| f.norm() <= least).collect();
-        // A triangle cannot tell a radius of curvature below its own size: a spike at a nearly collapsed corner must not weigh without bound.
         let soft = |t: usize| {
             let area = frames.areas[t];
             if conjugacy == Conjugacy::Exact || flat[t] {
