@@ -1,8 +1,14 @@
-//! Fields on surfaces like those that sketches show.
+//! Fields on surfaces like those that sketches show, and along the whole border.
 
+use nalgebra::Point3;
 use sketch2pq::datagen::{Options, sample};
 use sketch2pq::field::{TriangleFrames, second_forms};
-use sketch2pq::pipeline::{FieldOptions, Placement, Session, SessionOptions, SurfaceResult, sketch_to_cdf};
+use sketch2pq::mesh::BorderMode;
+use sketch2pq::pipeline::{
+    FieldOptions, MeshOptions, Placement, Session, SessionOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
+    surface_to_cdf,
+};
+use sketch2pq::surface::{NurbsSurface, SurfaceProjector};
 
 fn session() -> Session {
     Session::new(&SessionOptions { threads: 1, ..SessionOptions::default() }).unwrap()
@@ -39,4 +45,42 @@ fn random_surfaces_have_conjugate_fields_along_their_feature_lines() {
         let total: f64 = (0..forms.len()).map(bending).sum();
         assert!(flat <= FLAT_SHARE * total, "seed {seed}: {flat} of {total}");
     }
+}
+
+#[test]
+fn aligned_panels_of_a_translational_patch_are_its_parameter_net() {
+    let mut session = session();
+    let n = 9;
+    let a = |i: f64| [i, 0.2 * (0.7 * i).sin(), 0.14 * i * (8.0 - i)];
+    let b = |j: f64| [0.15 * j, 0.9 * j, 0.1 * j * (8.0 - j)];
+    let net = (0..n * n)
+        .map(|k| [a((k / n) as f64), b((k % n) as f64)])
+        .map(|[a, b]| Point3::new(a[0] + b[0], a[1] + b[1], a[2] + b[2]))
+        .collect();
+    let patch = NurbsSurface::uniform(3, [n, n], net).unwrap();
+    let surface = SurfaceResult::from_nurbs(vec![patch.clone()]).unwrap();
+    let options = FieldOptions { aligned_sides: [true; 4], ..FieldOptions::default() };
+    let field = surface_to_cdf(&mut session, &surface, &[], &options).unwrap();
+    assert!(field.patches[0].field.singularities.is_empty());
+    let options = MeshOptions { border: BorderMode::Aligned, faces: 300, ..MeshOptions::default() };
+    let mesh = extract_pq_mesh(&mut session, &field, &options).unwrap();
+    let measures = mesh.measures();
+    assert_eq!((measures.irregular_vertices, measures.quads), (0, measures.faces));
+    assert!(measures.planarity_max < 1e-6 && measures.deviation_max_edges < 0.05, "{measures:?}");
+    // Each edge runs along one parameter: the other one hardly changes.
+    let projector = SurfaceProjector::new(&patch);
+    let mesh = &mesh.patches[0].mesh;
+    let parameters: Vec<[f64; 2]> = mesh.vertices.iter().map(|p| projector.closest(p).parameters).collect();
+    let mut angles: Vec<f64> = mesh
+        .faces()
+        .flat_map(|face| (0..4).map(|k| [face[k], face[(k + 1) % 4]]))
+        .map(|ends| {
+            let [p, q] = ends.map(|v| parameters[v as usize]);
+            let (du, dv) = ((p[0] - q[0]).abs(), (p[1] - q[1]).abs());
+            du.min(dv).atan2(du.max(dv)).to_degrees()
+        })
+        .collect();
+    angles.sort_by(f64::total_cmp);
+    let mean = angles.iter().sum::<f64>() / angles.len() as f64;
+    assert!(mean < 1.5 && angles[angles.len() - 1] < 8.0, "{mean} degrees, {} at most", angles[angles.len() - 1]);
 }
