@@ -196,7 +196,9 @@ impl<'a> Integrator<'a> {
             Density::EdgeLength(edge) => edge,
             Density::CellCount(count) => (area / count).sqrt(),
         };
-        let seams = Seams::new(field, options.pair_distance * edge, options.rim_distance * edge);
+        // What a host fixed stays, even where the grid is too coarse to show it.
+        let reach = if field.fixed_singularities { 0.0 } else { edge };
+        let seams = Seams::new(field, options.pair_distance * reach, options.rim_distance * reach);
         let triangles = elements(field, &seams)?;
         let mut layout = Layout::new(field, &seams);
         layout.fit_sides(field, &seams, options.sides);

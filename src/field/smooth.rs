@@ -5,6 +5,7 @@ use super::conjugate::{SecondForm, second_forms};
 use super::conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 use super::matching::{Cross, match_edges, matching};
 use super::polyvector::PolyVector;
+use super::prescribe;
 use super::system::TriangleSystem;
 use super::topology::{EdgeTopology, TriangleFrames, wrap};
 use crate::control::Control;
@@ -112,6 +113,44 @@ pub fn conjugate_field(
     options: &FieldOptions,
     control: &Control,
 ) -> Result<ConjugateField, Error> {
+    solve(mesh, guess, constraints, None, options, control)
+}
+
+/// The smoothest conjugate field that has the given singularities, and no others.
+///
+/// - `singularities`: inner vertices with an index of 1 or -1, in any order; none is a field without singularities.
+///
+/// Where all four sides are aligned the indices have to sum to 4 quarter turns less one for each corner of the border, of about 90 degrees:
+/// 0 for a patch with four corners. Where a side is free, any singularities will do. Hard constraints bind as ever: a line that
+/// asks for another singularity gets a crack where the cross turns at once.
+///
+/// # Errors
+/// [`Error::Argument`] for an index other than 1 and -1, a vertex on the border or none, or two singularities on one vertex;
+/// [`Error::SingularityCount`] for indices that aligned sides leave no room for; and as [`conjugate_field`].
+///
+/// # Source
+/// Trivial connections (Crane et al. 2010) fix the rotation of a field by its singularities; here they fix the quarter turns across
+/// edges, which are moved along paths from where a free field would have its singularities, and the energy stays that of
+/// [`conjugate_field`]. The paper has no such entry.
+pub fn conjugate_field_with_singularities(
+    mesh: SurfaceMesh,
+    guess: Option<&[[Vector3<f64>; 2]]>,
+    constraints: &[DirectionConstraint],
+    singularities: &[Singularity],
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<ConjugateField, Error> {
+    solve(mesh, guess, constraints, Some(singularities), options, control)
+}
+
+fn solve(
+    mesh: SurfaceMesh,
+    guess: Option<&[[Vector3<f64>; 2]]>,
+    constraints: &[DirectionConstraint],
+    fixed: Option<&[Singularity]>,
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<ConjugateField, Error> {
     options.check()?;
     let count = mesh.triangles.len();
     if let Some(guess) = guess
@@ -122,12 +161,15 @@ pub fn conjugate_field(
     }
     control.step("field", 0.0)?;
     let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles)?;
+    if let Some(fixed) = fixed {
+        prescribe::check(&mesh, &edges, &options.aligned_sides, fixed)?;
+    }
     let frames = TriangleFrames::new(&mesh, &edges)?;
     let mut constraints = constraints.to_vec();
     border_constraints(&mesh, &edges, &options.aligned_sides, &mut constraints);
     let forms = second_forms(&mesh, &frames);
     let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms };
-    let Layout { crosses, jumps, iterations } = layout(&patch, guess, &constraints, options, control)?;
+    let Layout { crosses, jumps, iterations } = layout(&patch, guess, &constraints, fixed, options, control)?;
     control.step("field", 0.8)?;
     let layout = directions(&frames, &crosses);
     let problem = Problem::new(&patch, Conjugacy::Exact, guess, &constraints, options)?;
@@ -145,7 +187,18 @@ pub fn conjugate_field(
             Some(DirectionConstraint { direction, ..*c })
         })
         .collect();
-    Ok(ConjugateField { mesh, directions, layout, edges, matching, singularities, lines, diagnostics })
+    let fixed_singularities = fixed.is_some();
+    Ok(ConjugateField {
+        mesh,
+        directions,
+        layout,
+        edges,
+        matching,
+        singularities,
+        fixed_singularities,
+        lines,
+        diagnostics,
+    })
 }
 
 /// Dirichlet energy of the PolyVector coefficients of a field of unit directions: the sum over inner edges of
@@ -245,10 +298,12 @@ struct Layout {
 /// The smoothest crosses with conjugacy as a soft term.
 ///
 /// A mesh finer than [`BASE_CELLS`] starts from the layout on one of half the resolution, keeps its topology, and needs a few iterations only.
+/// With `fixed` singularities the quarter turns are moved until the crosses have those.
 fn layout(
     patch: &Patch,
     guess: Option<&[[Vector3<f64>; 2]]>,
     constraints: &[DirectionConstraint],
+    fixed: Option<&[Singularity]>,
     options: &FieldOptions,
     control: &Control,
 ) -> Result<Layout, Error> {
@@ -256,16 +311,30 @@ fn layout(
     if patch.mesh.cells.iter().all(|&n| n <= BASE_CELLS) {
         let crosses = problem.initial(control)?;
         control.step("field", 0.3)?;
-        let (crosses, iterations) = problem.settle(crosses, control)?;
-        return Ok(Layout { jumps: problem.nearest_jumps(&crosses), crosses, iterations });
+        let (crosses, jumps, iterations) = match fixed {
+            Some(fixed) => {
+                let jumps = problem.prescribed_jumps(&crosses, fixed);
+                let most = options.iterations;
+                let (crosses, spent) =
+                    problem.optimize(&mut problem.system()?, crosses, Some(&jumps), most, control)?;
+                (crosses, jumps, spent)
+            }
+            None => {
+                let (crosses, spent) = problem.settle(crosses, control)?;
+                let jumps = problem.nearest_jumps(&crosses);
+                (crosses, jumps, spent)
+            }
+        };
+        return Ok(Layout { crosses, jumps, iterations });
     }
     let coarse = Coarse::new(patch.mesh, guess, constraints)?;
     let edges = EdgeTopology::new(coarse.mesh.points.len(), &coarse.mesh.triangles)?;
     let frames = TriangleFrames::new(&coarse.mesh, &edges)?;
     let forms = coarse.forms(patch.frames, patch.forms, &frames);
     let below = Patch { mesh: &coarse.mesh, edges: &edges, frames: &frames, forms: &forms };
+    let fixed_below = fixed.map(|fixed| coarse.singularities(patch.mesh.cells, fixed));
     let Layout { crosses, iterations, .. } =
-        layout(&below, coarse.guess.as_deref(), &coarse.constraints, options, control)?;
+        layout(&below, coarse.guess.as_deref(), &coarse.constraints, fixed_below.as_deref(), options, control)?;
     let start: Vec<Cross> = (0..patch.mesh.triangles.len())
         .map(|t| {
             let c = coarse.triangles[t] as usize;
@@ -273,8 +342,11 @@ fn layout(
             problem.allowed(t, &Cross::from_angles(angle(crosses[c].u()), angle(crosses[c].v())))
         })
         .collect();
-    let jumps = problem.nearest_jumps(&start);
-    let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), FINE_ITERATIONS, control)?;
+    let (jumps, most) = match fixed {
+        Some(fixed) => (problem.prescribed_jumps(&start, fixed), options.iterations),
+        None => (problem.nearest_jumps(&start), FINE_ITERATIONS),
+    };
+    let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), most, control)?;
     Ok(Layout { crosses, jumps, iterations: iterations + more })
 }
 
@@ -749,7 +821,7 @@ impl<'a> Problem<'a> {
         let rigidity = self.rigidity();
         for (reach, saving) in [(f64::INFINITY, FAR_PAIR_ENERGY), (CLOSE_PAIR * size, CLOSE_PAIR_ENERGY)] {
             let (_, singularities) = self.matched(&crosses);
-            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach);
+            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach, &|_| true);
             if paths.is_empty() {
                 continue;
             }
@@ -784,6 +856,25 @@ impl<'a> Problem<'a> {
             let (_, rotation, _) = self.across(e, crosses, None);
             let plain = crosses[g].bisector - crosses[f].bisector - self.frames.turns[e];
             jumps[e] = ((rotation - plain) / FRAC_PI_2).round() as i32;
+        }
+        jumps
+    }
+
+    /// Quarter turns across each edge with which `crosses` have the `fixed` singularities and no others.
+    fn prescribed_jumps(&self, crosses: &[Cross], fixed: &[Singularity]) -> Vec<i32> {
+        let mut jumps = self.nearest_jumps(crosses);
+        let present = self.matched(crosses).1;
+        let mut rigidity = self.rigidity();
+        // A crack across a line that the field follows could not close.
+        for &(t, _, weight) in &self.soft {
+            rigidity[t] += weight;
+        }
+        for (rigid, hard) in rigidity.iter_mut().zip(&self.hard) {
+            *rigid += if hard.is_some() { HARD_WEIGHT } else { 0.0 };
+        }
+        let sides = &self.options.aligned_sides;
+        for (edge, quarters) in prescribe::turns(self.mesh, self.edges, &rigidity, sides, &present, fixed) {
+            jumps[edge as usize] += quarters;
         }
         jumps
     }
