@@ -28,6 +28,8 @@ pub struct ConjugateField {
     pub fixed_singularities: bool,
     /// What the field was asked to follow: unit tangent directions with their weights; the map follows them too.
     pub lines: Vec<DirectionConstraint>,
+    /// The same for the directions that run parallel to those lines, beside them.
+    pub parallels: Vec<DirectionConstraint>,
     /// How good the field is.
     pub diagnostics: FieldDiagnostics,
 }

@@ -512,7 +512,7 @@ const HALF_WEIGHT: f64 = 30.0;
 
 /// Gives each element the lines on its triangle.
 fn add_lines(field: &ConjugateField, seams: &Seams, elements: &mut [Element]) {
-    for line in &field.lines {
+    for line in field.lines.iter().chain(&field.parallels) {
         let t = line.triangle as usize;
         let along = [0, 1].map(|i| field.layout_direction(line.triangle, (seams.name[t] + i) as usize));
         let family = usize::from(along[1].dot(&line.direction).abs() > along[0].dot(&line.direction).abs());

@@ -7,6 +7,7 @@ mod conjugate_field;
 mod integrate;
 mod lift;
 mod matching;
+mod parallel;
 mod polyvector;
 mod prescribe;
 mod seams;

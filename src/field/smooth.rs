@@ -4,6 +4,7 @@ use super::coarse::Coarse;
 use super::conjugate::{SecondForm, second_forms};
 use super::conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 use super::matching::{Cross, match_edges, matching};
+use super::parallel::{Parallel, parallels};
 use super::polyvector::PolyVector;
 use super::prescribe;
 use super::system::TriangleSystem;
@@ -41,9 +42,15 @@ pub struct FieldOptions {
     /// A triangle is flat, and conjugacy ignored there, where |II| is below this share of its root mean square over the surface (or below
     /// this share of 1 / sqrt(area)); radii of curvature below the size of a triangle count as that size.
     pub flatness: f64,
-    /// Weight of the integral of II(u, v)^2 in the layout: where curvature is k, the field gives way to conjugacy over a distance of
-    /// about 1 / (k sqrt(weight)).
+    /// Weight of the integral of II(u, v)^2 in the layout, four times as much once its topology is settled: where curvature is k, the
+    /// field gives way to conjugacy over a distance of about 1 / (k sqrt(weight)).
     pub conjugacy_weight: f64,
+    /// Pull towards running parallel to the constraints beside them, in the unit of the guess' weight; 0: constraints count on their own
+    /// triangles alone, and panels, which are larger, turn away from them. In the layout it weighs on meshes of more than 24 cells, once
+    /// the topology is settled.
+    pub parallel_weight: f64,
+    /// Distance at which that pull has faded out, in square roots of the area.
+    pub parallel_reach: f64,
     /// Whether a family follows the border along the sides u = min, u = max, v = min, v = max, as a hard constraint.
     pub aligned_sides: [bool; 4],
     /// Most Gauss-Newton iterations.
@@ -59,6 +66,8 @@ impl Default for FieldOptions {
             orthogonality_weight: 0.5,
             flatness: 0.02,
             conjugacy_weight: 100.0,
+            parallel_weight: 0.0,
+            parallel_reach: 0.075,
             aligned_sides: [false; 4],
             iterations: 30,
         }
@@ -77,6 +86,8 @@ impl FieldOptions {
             ("orthogonality_weight", self.orthogonality_weight),
             ("flatness", self.flatness),
             ("conjugacy_weight", self.conjugacy_weight),
+            ("parallel_weight", self.parallel_weight),
+            ("parallel_reach", self.parallel_reach),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return fail(name, value, "a finite number that is not negative");
@@ -179,14 +190,13 @@ fn solve(
     control.step("field", 0.95)?;
     let Finished { directions, matching, singularities, diagnostics } = problem.finish(&crosses, &jumps, iterations);
     control.step("field", 1.0)?;
-    let lines = constraints
-        .iter()
-        .filter_map(|c| {
-            let normal = frames.normals[c.triangle as usize];
-            let direction = (c.direction - normal * normal.dot(&c.direction)).try_normalize(1e-12)?;
-            Some(DirectionConstraint { direction, ..*c })
-        })
-        .collect();
+    let tangential = |c: &DirectionConstraint| {
+        let normal = frames.normals[c.triangle as usize];
+        let direction = (c.direction - normal * normal.dot(&c.direction)).try_normalize(1e-12)?;
+        Some(DirectionConstraint { direction, ..*c })
+    };
+    let lines = constraints.iter().filter_map(tangential).collect();
+    let parallels = problem.parallels;
     let fixed_singularities = fixed.is_some();
     Ok(ConjugateField {
         mesh,
@@ -197,6 +207,7 @@ fn solve(
         singularities,
         fixed_singularities,
         lines,
+        parallels,
         diagnostics,
     })
 }
@@ -307,8 +318,16 @@ fn layout(
     options: &FieldOptions,
     control: &Control,
 ) -> Result<Layout, Error> {
-    let problem = Problem::new(patch, Conjugacy::Soft, guess, constraints, options)?;
-    if patch.mesh.cells.iter().all(|&n| n <= BASE_CELLS) {
+    let base = patch.mesh.cells.iter().all(|&n| n <= BASE_CELLS);
+    // Neither bumps nor parallels of lines shall make singularities: only with the topology settled does conjugacy weigh more, and do
+    // parallels weigh at all.
+    let weighed = if base {
+        FieldOptions { parallel_weight: 0.0, ..*options }
+    } else {
+        FieldOptions { conjugacy_weight: FINE_CONJUGACY * options.conjugacy_weight, ..*options }
+    };
+    let problem = Problem::new(patch, Conjugacy::Soft, guess, constraints, &weighed)?;
+    if base {
         let crosses = problem.initial(control)?;
         control.step("field", 0.3)?;
         let (crosses, jumps, iterations) = match fixed {
@@ -399,6 +418,8 @@ struct Problem<'a> {
     target: Vec<(Cross, f64)>,
     orthogonality: Vec<f64>,
     constraint_angles: Vec<(usize, f64, f64)>,
+    /// Directions beside the constraints, as constraints.
+    parallels: Vec<DirectionConstraint>,
     has_guess: bool,
     floor: f64,
     options: &'a FieldOptions,
@@ -426,11 +447,10 @@ impl<'a> Problem<'a> {
         let least = options.flatness * mean_square.sqrt().max(area.sqrt().recip());
         let flat: Vec<bool> = forms.iter().map(|f| f.norm() <= least).collect();
         let soft = |t: usize| {
-            let area = frames.areas[t];
             if conjugacy == Conjugacy::Exact || flat[t] {
                 0.0
             } else {
-                options.conjugacy_weight * area / (1.0 + area * forms[t].norm().powi(2))
+                options.conjugacy_weight * frames.areas[t] / (1.0 + frames.areas[t] * forms[t].norm().powi(2))
             }
         };
         let exact = conjugacy == Conjugacy::Exact;
@@ -448,6 +468,7 @@ impl<'a> Problem<'a> {
             target: vec![(Cross { bisector: 0.0, half_crossing: FRAC_PI_4 }, 0.0); count],
             orthogonality: share.iter().map(|a| a * options.orthogonality_weight).collect(),
             constraint_angles: vec![],
+            parallels: vec![],
             has_guess: guess.is_some(),
             floor,
             options,
@@ -461,6 +482,15 @@ impl<'a> Problem<'a> {
             };
         }
         problem.add_constraints(constraints, exact)?;
+        if options.parallel_weight > 0.0 {
+            let reach = options.parallel_reach * area.sqrt();
+            for Parallel { triangle, angle, strength } in parallels(mesh, edges, frames, constraints, reach) {
+                let weight = options.parallel_weight * share[triangle] * strength;
+                problem.soft.push((triangle, angle, weight));
+                let direction = frames.direction(triangle, angle);
+                problem.parallels.push(DirectionConstraint { triangle: triangle as u32, direction, weight });
+            }
+        }
         problem.add_targets(guess, &share);
         Ok(problem)
     }
@@ -1009,6 +1039,8 @@ const CLOSE_PAIR_ENERGY: f64 = 1.5;
 const REMOVAL_ITERATIONS: usize = 4;
 /// Most cells along a side of the mesh on which the layout finds its topology.
 const BASE_CELLS: usize = 24;
+/// How much more conjugacy weighs on finer meshes.
+const FINE_CONJUGACY: f64 = 4.0;
 /// Most Gauss-Newton iterations of the layout on each finer mesh, and of the exactly conjugate field.
 const FINE_ITERATIONS: usize = 4;
 const EXACT_ITERATIONS: usize = 3;

@@ -38,6 +38,9 @@ const DEFAULT_RESOLUTION: usize = 40;
 /// Weight of a feature line that crosses a whole triangle. In the solver's unit an edge weighs about 1, so the field
 /// follows the line and yields where two lines contradict each other.
 const LINE_WEIGHT: f64 = 300.0;
+/// Pull towards running parallel to feature lines beside them, in the solver's unit: panels are larger than triangles, and where the field
+/// turned back to what the network guesses within half a panel their edges would not see the line at all.
+const PARALLEL_WEIGHT: f64 = 6400.0;
 /// Range of what a host may say, and fewest cells along the shorter side.
 const RESOLUTIONS: std::ops::RangeInclusive<usize> = 8..=256;
 
@@ -64,6 +67,7 @@ impl FieldOptions {
         crate::field::FieldOptions {
             crossing_floor_deg: self.crossing_floor_deg,
             aligned_sides: self.aligned_sides,
+            parallel_weight: PARALLEL_WEIGHT,
             ..crate::field::FieldOptions::default()
         }
     }
