@@ -20,7 +20,18 @@ fn field_of(mesh: SurfaceMesh, directions: impl Fn(usize, Point3<f64>) -> [Vecto
     let directions: Vec<[Vector3<f64>; 2]> =
         (0..mesh.triangles.len()).map(|t| [crosses[t].u(), crosses[t].v()].map(|a| frames.direction(t, a))).collect();
     let (layout, lines, diagnostics) = (directions.clone(), vec![], FieldDiagnostics::default());
-    ConjugateField { mesh, directions, layout, edges, matching, singularities, lines, diagnostics }
+    ConjugateField {
+        mesh,
+        directions,
+        layout,
+        edges,
+        matching,
+        singularities,
+        fixed_singularities: false,
+        lines,
+        parallels: vec![],
+        diagnostics,
+    }
 }
 
 fn square(size: f64) -> NurbsSurface {
