@@ -161,6 +161,13 @@ const FACING_WEIGHT: f64 = 1.0;
 /// Factor on it in each step that begins with folds after the rest has converged, and the highest.
 const FACING_GROWTH: f64 = 8.0;
 const HIGHEST_FACING: f64 = 512.0;
+/// The same for border samples beside a contour, where the sheet between the two may be too thin for the maps: the mean over the border
+/// samples, so that a turn there costs more than smoothness saves.
+const RIM_FACING_WEIGHT: f64 = 4.0;
+/// A contour this near to the border, in map pixels, bounds a sheet that ends at the border.
+const SLIVER_WIDTH: f64 = 1.25;
+/// A contour nearer than this, in map pixels, ends at the border.
+const SLIVER_END: f64 = 0.1;
 /// Facing that is asked for where one side alone is drawn: (S_u x S_v).z / (|S_u| |S_v|). Just enough that rounding and the
 /// samples' distance leave no turn between them; steep places are no mistake.
 const LEAST_FACING: f64 = 0.03;
@@ -266,6 +273,8 @@ struct Refiner<'a> {
     drawn_facing: Vec<f64>,
     strokes: [Polyline; 4],
     stroke_occluded: [Vec<bool>; 4],
+    /// For each stroke point the side that the surface shows at the border, 1 or -1, where a contour beside it tells, else 0.
+    stroke_facing: [Vec<f64>; 4],
     /// Contour strokes, each with the side of its normals (1 or -1) on which the surface lies.
     contours: Vec<(Polyline, f64)>,
     start: Vec<f64>,
@@ -419,6 +428,7 @@ impl<'a> Refiner<'a> {
             drawn_facing: vec![],
             strokes,
             stroke_occluded,
+            stroke_facing: Default::default(),
             contours: vec![],
             start: planes_of(start),
         };
@@ -434,6 +444,7 @@ impl<'a> Refiner<'a> {
             })
             .collect();
         refiner.drawn_facing = refiner.draw_facing();
+        refiner.stroke_facing = refiner.strokes.each_ref().map(|stroke| refiner.facing_along(stroke));
         let planes = refiner.planes(&refiner.start);
         refiner.shares = [0, 1, 2, 3].map(|side| Self::arc_shares(&planes, &refiner.side_samples(side)));
         Ok(refiner)
@@ -552,6 +563,25 @@ impl<'a> Refiner<'a> {
             .collect()
     }
 
+    /// The border runs with its sheet on the left where that shows its front: a contour close by on the left bounds a front.
+    fn facing_along(&self, stroke: &Polyline) -> Vec<f64> {
+        let pixel = self.targets.maps.visible.pixel();
+        let points = &stroke.points;
+        let at = |i: usize| {
+            let (a, b, p) = (points[i.saturating_sub(1)], points[(i + 1).min(points.len() - 1)], points[i]);
+            let feet = self.contours.iter().filter_map(|(line, _)| line.nearest(p, [0.0, f64::INFINITY]));
+            let nearest = feet.min_by(|a, b| a.distance.total_cmp(&b.distance));
+            let beside = nearest.filter(|foot| (SLIVER_END..SLIVER_WIDTH).contains(&(foot.distance / pixel)));
+            beside.map_or(0.0, |foot| {
+                let (d, e) = ([0, 1].map(|c| b[c] - a[c]), [0, 1].map(|c| foot.position[c] - p[c]));
+                let (along, across) = (d[0] * e[0] + d[1] * e[1], d[0] * e[1] - d[1] * e[0]);
+                // Ahead or behind is only an end of the contour.
+                if across.abs() > along.abs() { across.signum() } else { 0.0 }
+            })
+        };
+        (0..points.len()).map(at).collect()
+    }
+
     /// Whether a contour stroke is so near that the surface may turn here.
     fn beside_contour(&self, p: [f64; 2]) -> bool {
         let reach = CREASE_REACH * self.targets.maps.visible.pixel();
@@ -618,7 +648,7 @@ impl<'a> Refiner<'a> {
         let (mut energy, mut depth_squared) = (0.0, 0.0);
         let mut facings = Vec::with_capacity(count);
         let mut turns = vec![];
-        let border_layers = self.border_layers(&planes);
+        let (border_layers, border_facing) = self.border_layers(&planes);
 
         for a in 0..mu {
             for b in 0..mv {
@@ -632,11 +662,15 @@ impl<'a> Refiner<'a> {
                 let area = (du.norm() * dv.norm()).max(f64::MIN_POSITIVE);
                 facings.push(cross.z / area);
                 let drawn = self.facing_at([p.x, p.y]);
-                let lack = LEAST_FACING - drawn * cross.z / area;
-                if drawn != 0.0 && lack > 0.0 {
-                    let weight = full * FACING_WEIGHT * self.facing;
+                let (asked, weight) = if border_facing[k] == 0.0 {
+                    (drawn, full * FACING_WEIGHT * self.facing)
+                } else {
+                    (border_facing[k], RIM_FACING_WEIGHT / (2 * (mu + mv)) as f64)
+                };
+                let lack = LEAST_FACING - asked * cross.z / area;
+                if asked != 0.0 && lack > 0.0 {
                     energy += weight * lack * lack;
-                    let slope = [-dv.y, dv.x, du.y, -du.x].map(|s| s * drawn / area);
+                    let slope = [-dv.y, dv.x, du.y, -du.x].map(|s| s * asked / area);
                     for (c, by_u, by_v) in [(0, slope[0], slope[2]), (1, slope[1], slope[3])] {
                         slopes[c].du[k] += weight * lack * by_u;
                         slopes[c].dv[k] += weight * lack * by_v;
@@ -765,9 +799,10 @@ impl<'a> Refiner<'a> {
         shares.iter().map(|s| s / sum.max(f64::MIN_POSITIVE)).collect()
     }
 
-    /// For border samples the layer on which the sketch draws them.
-    fn border_layers(&self, planes: &[GridPlanes; 3]) -> Vec<Option<bool>> {
+    /// For border samples the layer on which the sketch draws them, and the side that they show, 0 where it is not known.
+    fn border_layers(&self, planes: &[GridPlanes; 3]) -> (Vec<Option<bool>>, Vec<f64>) {
         let mut layers = vec![None; planes[0].value.len()];
+        let mut facing = vec![0.0; layers.len()];
         for side in 0..4 {
             let samples = self.side_samples(side);
             let shares = Self::arc_shares(planes, &samples);
@@ -776,9 +811,10 @@ impl<'a> Refiner<'a> {
             for (&k, share) in samples.iter().zip(shares) {
                 let at = stroke.lengths.partition_point(|&l| l < share * stroke.length()).min(flags.len() - 1);
                 layers[k] = Some(flags[at]);
+                facing[k] = self.stroke_facing[side][at.min(self.stroke_facing[side].len() - 1)];
             }
         }
-        layers
+        (layers, facing)
     }
 
     /// Border samples project onto the line of their stroke, corners onto the corners.
