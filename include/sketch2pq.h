@@ -296,7 +296,7 @@ typedef struct S2pqNurbs {
 typedef struct S2pqSurfaceDiagnostics {
   // sizeof(S2pqSurfaceDiagnostics)
   uint32_t struct_size;
-  // Places of a grid over the patch where neighbouring normals point in opposite directions: folds and cusps.
+  // Places of a grid over the patch where it turns from front to back, seen along the view, and no contour is drawn.
   uint32_t fold_overs;
   // Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256
   // canvas that the sketch fills.
