@@ -296,7 +296,7 @@ typedef struct S2pqNurbs {
 typedef struct S2pqSurfaceDiagnostics {
   // sizeof(S2pqSurfaceDiagnostics)
   uint32_t struct_size;
-  // Places of a grid over the patch where neighbouring normals point in opposite directions: folds and cusps.
+  // Places of a grid over the patch where it turns from front to back, seen along the view, and no contour is drawn.
   uint32_t fold_overs;
   // Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256
   // canvas that the sketch fills.
@@ -309,7 +309,32 @@ typedef struct S2pqSurfaceDiagnostics {
   double misfacing;
 } S2pqSurfaceDiagnostics;
 
+// Singularities that a field shall have, lent to sketch_to_cdf and surface_to_cdf by their options. Set struct_size before the call, and
+// clear the rest.
+//
+// The field has each of them at the nearest inner vertex of its triangulation. Where a side of the patch is not aligned, any will do;
+// where all sides are, the indices have to sum to 4 less one for each corner of the border of about 90 degrees, 0 with four such corners.
+typedef struct S2pqSingularities {
+  // sizeof(S2pqSingularities)
+  uint32_t struct_size;
+  // Not used; 0.
+  uint32_t reserved;
+  // Number of singularities.
+  uint64_t count;
+  // x, y, z of each, world frame; they are brought to the nearest points of the surface, at most a tenth of its size away. NULL where
+  // `parameters` are given.
+  const double *points;
+  // u, v of each; NULL where `points` are given.
+  const double *parameters;
+  // For each the patch of its `parameters`; NULL: all on patch 0.
+  const uint32_t *patches;
+  // For each its index in quarter turns: 1 where three, -1 where five quads meet.
+  const int32_t *indices;
+} S2pqSingularities;
+
 // Options of sketch_to_cdf and surface_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
+//
+// `singularities` is read during the call and stays the host's.
 typedef struct S2pqFieldOptions {
   // sizeof(S2pqFieldOptions)
   uint32_t struct_size;
@@ -323,6 +348,9 @@ typedef struct S2pqFieldOptions {
   uint32_t resolution;
   // Smallest crossing angle of the two families, degrees, in (0, 80]. Default 20.
   double crossing_floor_deg;
+  // The singularities that the field shall have, and no others: a count of 0 asks for none. NULL, the default: the solver places
+  // what it needs.
+  const struct S2pqSingularities *singularities;
 } S2pqFieldOptions;
 
 // Curves on or near a surface, lent to surface_to_cdf. Set struct_size before the call, and clear the rest.
@@ -728,7 +756,7 @@ S2pqStatus s2pq_field_options_init(struct S2pqFieldOptions *options, size_t size
 // - `field`: takes the new field.
 //
 // Must be valid:
-// `options` is NULL or valid as its `struct_size` says; `field` is valid for writing.
+// `options`, and the singularities that it points to, are NULL or valid as their `struct_size` and count say; `field` is valid for writing.
 S2pqStatus sketch_to_cdf(struct S2pqSession *session,
                          const struct S2pqSketch *sketch,
                          const struct S2pqSurface *surface,
@@ -744,8 +772,8 @@ S2pqStatus sketch_to_cdf(struct S2pqSession *session,
 // - `field`: takes the new field.
 //
 // Must be valid:
-// `curves` is NULL or valid as its `struct_size` and counts say; `options` is NULL or valid as its `struct_size` says;
-// `field` is valid for writing.
+// `curves`, `options` and the singularities that it points to are NULL or valid as their `struct_size` and counts say; `field` is valid
+// for writing.
 S2pqStatus surface_to_cdf(struct S2pqSession *session,
                           const struct S2pqSurface *surface,
                           const struct S2pqCurves *curves,

@@ -64,6 +64,11 @@ pub enum Error {
     /// Planarization stopped above its target.
     #[error("planarity is {reached:.1e} after {rounds} rounds, asked for {target:.1e}")]
     NotPlanar { reached: f64, target: f64, rounds: usize },
+    /// Singularities that no field has which follows the whole border.
+    #[error(
+        "the singularities sum to {sum} quarter turns, but the border, which the field shall follow all around, leaves room for {room}"
+    )]
+    SingularityCount { sum: i32, room: i32 },
     /// The map could not be turned into a mesh.
     #[error("no panel mesh: {reason}")]
     NoMesh { reason: String },

@@ -6,8 +6,8 @@ use sketch2pq::Error;
 use sketch2pq::infer::BackendChoice;
 use sketch2pq::mesh::{BorderMode, border_vertices};
 use sketch2pq::pipeline::{
-    FeatureCurve, FieldOptions, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfaceResult, extract_pq_mesh,
-    sketch_to_cdf, sketch_to_surface, surface_to_cdf,
+    FeatureCurve, FieldOptions, FixedSingularity, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfacePlace,
+    SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
 use sketch2pq::sketch::{DepthSample, Layer, Sketch, Stroke, StrokeKind, View};
 use sketch2pq::surface::{KnotVector, NurbsSurface, SurfaceProjector};
@@ -294,6 +294,66 @@ fn curves_in_space_lead_the_field_of_a_hosts_surface() {
         let curves = [FeatureCurve { points, hard: false }];
         let result = surface_to_cdf(&mut session, &surface, &curves, &FieldOptions::default());
         assert!(matches!(result, Err(Error::Argument { name: "curves", .. })));
+    }
+}
+
+#[test]
+fn panels_meet_irregularly_where_the_host_wants_them_to() {
+    let mut session = session();
+    let net = |size: f64| -> Vec<Point3<f64>> {
+        (0..49)
+            .map(|k| [f64::from(k / 7), f64::from(k % 7)].map(|x| x / 3.0 - 1.0))
+            .map(|[x, y]| Point3::new(x + 2.0, y - 1.0, 0.6 - 0.3 * x * x - 0.4 * y * y) * size)
+            .collect()
+    };
+    for size in [1.0, 3e3] {
+        let surface = SurfaceResult::from_nurbs(vec![NurbsSurface::uniform(3, [7, 7], net(size)).unwrap()]).unwrap();
+        let patch = &surface.patches[0].surface;
+        let place = |s: f64, t: f64| patch.point(s, t);
+        for fixed in [vec![], vec![([0.3, 0.35], 1), ([0.7, 0.6], -1)], vec![([0.5, 0.45], 1)]] {
+            let in_space = |&([s, t], index): &([f64; 2], i32)| FixedSingularity {
+                place: SurfacePlace::Point(place(s, t)),
+                index,
+            };
+            let by_parameters = |&(uv, index): &([f64; 2], i32)| FixedSingularity {
+                place: SurfacePlace::Parameters { patch: 0, uv },
+                index,
+            };
+            let both = [fixed.iter().map(in_space).collect::<Vec<_>>(), fixed.iter().map(by_parameters).collect()];
+            for singularities in both {
+                let options = FieldOptions { singularities: Some(singularities), ..FieldOptions::default() };
+                let field = surface_to_cdf(&mut session, &surface, &[], &options).unwrap();
+                let found = &field.patches[0].field.singularities;
+                assert_eq!(found.len(), fixed.len());
+                assert_eq!(found.iter().map(|s| s.index).sum::<i32>(), fixed.iter().map(|f| f.1).sum::<i32>());
+                let mesh = extract_pq_mesh(&mut session, &field, &MeshOptions::default()).unwrap();
+                let edge = mesh.measures().edge_length_mean;
+                let irregular: Vec<Point3<f64>> =
+                    mesh.patches[0].irregular.iter().map(|&v| mesh.patches[0].mesh.vertices[v as usize]).collect();
+                assert_eq!(irregular.len(), fixed.len());
+                for ([s, t], _) in &fixed {
+                    let off = irregular.iter().map(|p| (p - place(*s, *t)).norm()).fold(f64::INFINITY, f64::min);
+                    assert!(off < edge, "{off} of {edge}");
+                }
+            }
+        }
+        let refused = |place: SurfacePlace, index: i32, aligned_sides: [bool; 4]| {
+            let singularities = Some(vec![FixedSingularity { place, index }]);
+            let options = FieldOptions { singularities, aligned_sides, ..FieldOptions::default() };
+            surface_to_cdf(&mut Session::new(&SessionOptions::default()).unwrap(), &surface, &[], &options).unwrap_err()
+        };
+        let inside = SurfacePlace::Parameters { patch: 0, uv: [0.5, 0.5] };
+        assert_eq!(refused(inside, 1, [true; 4]), Error::SingularityCount { sum: 1, room: 0 });
+        for (place, index) in [
+            (SurfacePlace::Parameters { patch: 1, uv: [0.5, 0.5] }, 1),
+            (SurfacePlace::Parameters { patch: 0, uv: [0.5, 1.5] }, 1),
+            (SurfacePlace::Parameters { patch: 0, uv: [0.5, f64::NAN] }, 1),
+            (SurfacePlace::Point(Point3::new(9.0, 9.0, 9.0) * size), 1),
+            (SurfacePlace::Point(Point3::new(f64::NAN, 0.0, 0.0)), 1),
+            (inside, 4),
+        ] {
+            assert!(matches!(refused(place, index, [false; 4]), Error::Argument { name: "singularities", .. }));
+        }
     }
 }
 

@@ -70,6 +70,20 @@ class SurfaceDiagnostics(c.Structure):
     ]
 
 
+class Singularities(c.Structure):
+    """S2pqSingularities"""
+
+    _fields_ = [
+        ("struct_size", _u32),
+        ("reserved", _u32),
+        ("count", _u64),
+        ("points", _f64s),
+        ("parameters", _f64s),
+        ("patches", _u32s),
+        ("indices", _i32s),
+    ]
+
+
 class FieldOptions(c.Structure):
     """S2pqFieldOptions"""
 
@@ -79,6 +93,7 @@ class FieldOptions(c.Structure):
         ("align_border", _u32),
         ("resolution", _u32),
         ("crossing_floor_deg", _f64),
+        ("singularities", c.POINTER(Singularities)),
     ]
 
 
@@ -178,7 +193,8 @@ LAYOUT = {
     SurfaceOptions: (24, [0, 4, 8, 16]),
     Nurbs: (80, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 72]),
     SurfaceDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
-    FieldOptions: (24, [0, 4, 8, 12, 16]),
+    Singularities: (48, [0, 4, 8, 16, 24, 32, 40]),
+    FieldOptions: (32, [0, 4, 8, 12, 16, 24]),
     Curves: (40, [0, 4, 8, 16, 24, 32]),
     FieldDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
     MeshOptions: (40, [0, 4, 8, 12, 16, 24, 32, 36]),

@@ -134,6 +134,31 @@ def _indices(values, what):
     return np.ascontiguousarray(array, dtype=np.uint32)
 
 
+def _singularities(rows):
+    """The struct, and the arrays that it points into."""
+    try:
+        rows = [(tuple(place), index, *patch) for place, index, *patch in rows]
+        columns = {len(place) for place, *_ in rows} or {3}
+        indices = np.array([row[1] for row in rows], dtype=np.int32)
+        exact = all(index == row[1] for index, row in zip(indices, rows))
+    except (TypeError, ValueError, OverflowError):
+        columns, exact = set(), False
+    if not exact or columns not in ({2}, {3}):
+        expected = "expected ((x, y, z), index) each, or ((u, v), index) and perhaps the patch"
+        raise ArgumentError(native.INVALID_ARGUMENT, f"singularities: {expected}")
+    (width,) = columns
+    places, pointer = _doubles([row[0] for row in rows], width, "singularities")
+    patches = _indices([row[2] if len(row) > 2 else 0 for row in rows], "singularities")
+    given = native.Singularities(
+        struct_size=ctypes.sizeof(native.Singularities),
+        count=len(rows),
+        indices=indices.ctypes.data_as(ctypes.POINTER(ctypes.c_int32)),
+        patches=patches.ctypes.data_as(ctypes.POINTER(ctypes.c_uint32)),
+    )
+    setattr(given, "points" if width == 3 else "parameters", pointer)
+    return given, (places, indices, patches)
+
+
 class _Handle:
     """An object of the library, freed with its last reference; views of results hold one."""
 
@@ -552,11 +577,14 @@ class Session(_Handle):
         crossing_floor_deg=None,
         curves=None,
         hard=False,
+        singularities=None,
     ):
         """Surface to a conjugate direction field, aligned with the sketch's feature lines or with curves in space.
 
         `curves`: arrays of (x, y, z) on or near the surface, instead of a sketch; `hard`: whether they are followed exactly, one truth
-        value for all or one for each. `align_border`: True, or some of SIDES.
+        value for all or one for each. `align_border`: True, or some of SIDES. `singularities`: what the field shall have and no others, each
+        ((x, y, z), index) in space, or ((u, v), index) and perhaps the number of the patch; the index is 1 where three quads meet, -1 where
+        five do.
         """
         options = _options(
             native.FieldOptions,
@@ -566,6 +594,10 @@ class Session(_Handle):
             resolution=resolution,
             crossing_floor_deg=crossing_floor_deg,
         )
+        if singularities is not None:
+            # Kept until the call ends: the options point into them.
+            fixed, kept = _singularities(singularities)
+            options.singularities = ctypes.pointer(fixed)
         if sketch is not None:
             if curves is not None:
                 raise ArgumentError(native.INVALID_ARGUMENT, "a sketch and curves, expected one of them")

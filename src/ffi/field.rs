@@ -8,11 +8,13 @@ use super::sketch::S2pqSketch;
 use super::surface::S2pqSurface;
 use super::{S2pqStatus, flag, lend_array, lend_text, lent_text, output, slice};
 use crate::error::Error;
-use crate::pipeline::{self, FeatureCurve, FieldOptions, FieldResult};
+use crate::pipeline::{self, FeatureCurve, FieldOptions, FieldResult, FixedSingularity, SurfacePlace};
 use nalgebra::Point3;
 use std::ffi::{CString, c_char};
 
 /// Options of sketch_to_cdf and surface_to_cdf. Fill them by s2pq_field_options_init, then change what you need.
+///
+/// `singularities` is read during the call and stays the host's.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct S2pqFieldOptions {
@@ -28,22 +30,35 @@ pub struct S2pqFieldOptions {
     pub resolution: u32,
     /// Smallest crossing angle of the two families, degrees, in (0, 80]. Default 20.
     pub crossing_floor_deg: f64,
+    /// The singularities that the field shall have, and no others: a count of 0 asks for none. NULL, the default: the solver places
+    /// what it needs.
+    pub singularities: *const S2pqSingularities,
 }
 
-// SAFETY: repr(C), size first, four u32 and an f64: no padding, all bits valid.
+// SAFETY: repr(C), size first, four u32, an f64 and a pointer: no padding, and any bits are a valid raw pointer.
 unsafe impl Sized32 for S2pqFieldOptions {
     const NAME: &'static str = "S2pqFieldOptions";
     const DEFAULT: Self = Self {
         struct_size: 0,
-        use_network: FieldOptions::DEFAULT.use_network as u32,
+        use_network: DEFAULTS.use_network as u32,
         align_border: 0,
-        resolution: FieldOptions::DEFAULT.resolution as u32,
-        crossing_floor_deg: FieldOptions::DEFAULT.crossing_floor_deg,
+        resolution: DEFAULTS.resolution as u32,
+        crossing_floor_deg: DEFAULTS.crossing_floor_deg,
+        singularities: std::ptr::null(),
     };
 }
 
+const DEFAULTS: &FieldOptions = &FieldOptions::DEFAULT;
+
 impl S2pqFieldOptions {
-    fn checked(&self) -> Result<FieldOptions, Error> {
+    /// What the host asks for, with what it lends copied.
+    ///
+    /// # Safety
+    /// `singularities` is NULL or valid as its `struct_size` and count say.
+    unsafe fn checked(&self) -> Result<FieldOptions, Error> {
+        // SAFETY: the host's promise.
+        let singularities =
+            if self.singularities.is_null() { None } else { Some(unsafe { read(self.singularities)?.copied() }?) };
         let bits = self.align_border;
         if bits > 1 && (bits & 1 == 1 || bits > 0b11110) {
             let expected = "0, 1, or a sum of 2, 4, 8 and 16";
@@ -54,7 +69,80 @@ impl S2pqFieldOptions {
             aligned_sides: [2, 4, 8, 16].map(|side| bits == 1 || bits & side != 0),
             resolution: self.resolution as usize,
             crossing_floor_deg: self.crossing_floor_deg,
+            singularities,
         })
+    }
+}
+
+/// Singularities that a field shall have, lent to sketch_to_cdf and surface_to_cdf by their options. Set struct_size before the call, and
+/// clear the rest.
+///
+/// The field has each of them at the nearest inner vertex of its triangulation. Where a side of the patch is not aligned, any will do;
+/// where all sides are, the indices have to sum to 4 less one for each corner of the border of about 90 degrees, 0 with four such corners.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct S2pqSingularities {
+    /// sizeof(S2pqSingularities)
+    pub struct_size: u32,
+    /// Not used; 0.
+    pub reserved: u32,
+    /// Number of singularities.
+    pub count: u64,
+    /// x, y, z of each, world frame; they are brought to the nearest points of the surface, at most a tenth of its size away. NULL where
+    /// `parameters` are given.
+    pub points: *const f64,
+    /// u, v of each; NULL where `points` are given.
+    pub parameters: *const f64,
+    /// For each the patch of its `parameters`; NULL: all on patch 0.
+    pub patches: *const u32,
+    /// For each its index in quarter turns: 1 where three, -1 where five quads meet.
+    pub indices: *const i32,
+}
+
+// SAFETY: repr(C), size first, two u32, a u64, four pointers: no padding, and any bits are valid raw pointers.
+unsafe impl Sized32 for S2pqSingularities {
+    const NAME: &'static str = "S2pqSingularities";
+    const DEFAULT: Self = Self {
+        struct_size: 0,
+        reserved: 0,
+        count: 0,
+        points: std::ptr::null(),
+        parameters: std::ptr::null(),
+        patches: std::ptr::null(),
+        indices: std::ptr::null(),
+    };
+}
+
+impl S2pqSingularities {
+    /// Copies what the host lends.
+    ///
+    /// # Safety
+    /// The arrays are as long as the count says.
+    unsafe fn copied(&self) -> Result<Vec<FixedSingularity>, Error> {
+        let count = usize::try_from(self.count).unwrap_or(usize::MAX);
+        if count == 0 {
+            return Ok(vec![]);
+        }
+        if self.points.is_null() == self.parameters.is_null() {
+            let value = if self.points.is_null() { "neither" } else { "both" }.into();
+            return Err(Error::Argument { name: "points and parameters", value, expected: "one of them" });
+        }
+        // SAFETY: the host's promise.
+        let indices = unsafe { slice("indices", self.indices, count) }?;
+        let places: Vec<SurfacePlace> = if self.parameters.is_null() {
+            // SAFETY: the host's promise.
+            let points = unsafe { slice("points", self.points, count.saturating_mul(3)) }?;
+            points.chunks_exact(3).map(|p| SurfacePlace::Point(Point3::new(p[0], p[1], p[2]))).collect()
+        } else {
+            // SAFETY: the host's promise.
+            let uv = unsafe { slice("parameters", self.parameters, count.saturating_mul(2)) }?;
+            // SAFETY: the host's promise.
+            let patches = if self.patches.is_null() { &[] } else { unsafe { slice("patches", self.patches, count) }? };
+            let patch = |k: usize| patches.get(k).map_or(0, |&patch| patch as usize);
+            let place = |(k, uv): (usize, &[f64])| SurfacePlace::Parameters { patch: patch(k), uv: [uv[0], uv[1]] };
+            uv.chunks_exact(2).enumerate().map(place).collect()
+        };
+        Ok(places.into_iter().zip(indices).map(|(place, &index)| FixedSingularity { place, index }).collect())
     }
 }
 
@@ -221,7 +309,7 @@ pub unsafe extern "C" fn s2pq_field_options_init(options: *mut S2pqFieldOptions,
 /// - `field`: takes the new field.
 ///
 /// # Safety
-/// `options` is NULL or valid as its `struct_size` says; `field` is valid for writing.
+/// `options`, and the singularities that it points to, are NULL or valid as their `struct_size` and count say; `field` is valid for writing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sketch_to_cdf(
     session: *mut S2pqSession,
@@ -237,7 +325,7 @@ pub unsafe extern "C" fn sketch_to_cdf(
         // SAFETY: not freed during the call, as the header asks.
         let sketch = if sketch.is_null() { None } else { Some(&unsafe { get(sketch) }?.sketch) };
         // SAFETY: the host's promise.
-        let options = unsafe { read(options) }?.checked()?;
+        let options = unsafe { read(options)?.checked() }?;
         let result = pipeline::sketch_to_cdf(&mut *session.lock()?, sketch, &surface.result, &options)?;
         place.set(lend(S2pqField::new(result)));
         Ok(())
@@ -253,8 +341,8 @@ pub unsafe extern "C" fn sketch_to_cdf(
 /// - `field`: takes the new field.
 ///
 /// # Safety
-/// `curves` is NULL or valid as its `struct_size` and counts say; `options` is NULL or valid as its `struct_size` says;
-/// `field` is valid for writing.
+/// `curves`, `options` and the singularities that it points to are NULL or valid as their `struct_size` and counts say; `field` is valid
+/// for writing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn surface_to_cdf(
     session: *mut S2pqSession,

@@ -55,7 +55,7 @@ impl From<&Error> for S2pqStatus {
     /// No `_` arm: a new error asks for its status here.
     fn from(error: &Error) -> Self {
         match error {
-            Error::Argument { .. } | Error::Format { .. } => Self::InvalidArgument,
+            Error::Argument { .. } | Error::Format { .. } | Error::SingularityCount { .. } => Self::InvalidArgument,
             Error::NotFinite { .. }
             | Error::NoOutline
             | Error::OpenOutline { .. }

@@ -94,7 +94,7 @@ unsafe impl Sized32 for S2pqNurbs {
 pub struct S2pqSurfaceDiagnostics {
     /// sizeof(S2pqSurfaceDiagnostics)
     pub struct_size: u32,
-    /// Places of a grid over the patch where neighbouring normals point in opposite directions: folds and cusps.
+    /// Places of a grid over the patch where it turns from front to back, seen along the view, and no contour is drawn.
     pub fold_overs: u32,
     /// Mean distance between the structural strokes and the projected border and silhouette, pixels of a 256 x 256
     /// canvas that the sketch fills.

@@ -13,13 +13,14 @@ const FREE_COST: f64 = 0.05;
 ///
 /// Edges cost their length times (0.05 + mean `rigidity` of their triangles), so that cracks lie where the field can close them. Pairs are
 /// chosen greedily, cheapest first, a way over the border counting twice. Singularities further than `reach` (by straight distance) from
-/// each other, or from the border, are not connected.
+/// each other, or from the border, are not connected. The way over the border leads through border vertices that `passes` holds for.
 pub(super) fn paths(
     mesh: &SurfaceMesh,
     edges: &EdgeTopology,
     rigidity: &[f64],
     singularities: &[Singularity],
     reach: f64,
+    passes: &dyn Fn(u32) -> bool,
 ) -> Vec<(u32, i32)> {
     if singularities.is_empty() {
         return vec![];
@@ -47,7 +48,7 @@ pub(super) fn paths(
             }
         }
         let way_out = (0..mesh.points.len() as u32)
-            .filter(|&v| edges.is_border_vertex(v) && near(s.vertex, v))
+            .filter(|&v| edges.is_border_vertex(v) && near(s.vertex, v) && passes(v))
             .min_by(|&a, &b| trees[i].distance[a as usize].total_cmp(&trees[i].distance[b as usize]));
         if let Some(vertex) = way_out {
             candidates.push((2.0 * trees[i].distance[vertex as usize], i, None, vertex));

@@ -1,12 +1,14 @@
 //! A problem on a mesh of half the resolution, on which topology is cheap.
 
 use super::conjugate::SecondForm;
+use super::conjugate_field::Singularity;
 use super::lift::locate;
 use super::smooth::DirectionConstraint;
 use super::topology::TriangleFrames;
 use crate::error::Error;
 use crate::surface::SurfaceMesh;
 use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeMap;
 
 /// Share of a soft constraint's weight that it keeps: a line crosses about half as many triangles.
 const WEIGHT_SHARE: f64 = 0.5;
@@ -54,6 +56,22 @@ impl Coarse {
             })
             .collect::<Result<_, Error>>()?;
         Ok(Self { mesh, guess, constraints, triangles })
+    }
+
+    /// Singularities of the fine mesh, whose cells are `fine`, at the nearest inner vertices; those that meet there are added up.
+    pub fn singularities(&self, fine: [usize; 2], singularities: &[Singularity]) -> Vec<Singularity> {
+        let cells = self.mesh.cells;
+        if cells.contains(&1) {
+            return vec![];
+        }
+        let mut sums: BTreeMap<u32, i32> = BTreeMap::new();
+        for s in singularities {
+            let v = s.vertex as usize;
+            let line = [v / (fine[1] + 1), v % (fine[1] + 1)];
+            let [i, j] = [0, 1].map(|k| ((line[k] * cells[k] + fine[k] / 2) / fine[k]).clamp(1, cells[k] - 1));
+            *sums.entry((i * (cells[1] + 1) + j) as u32).or_default() += s.index;
+        }
+        sums.into_iter().filter(|s| s.1 != 0).map(|(vertex, index)| Singularity { vertex, index }).collect()
     }
 
     /// Second forms of the coarse triangles, in their `frames`: the means of the `fine` ones over area, so that bumps are averaged, not

@@ -24,8 +24,12 @@ pub struct ConjugateField {
     pub matching: Vec<u8>,
     /// Inner vertices with an index other than 0, in order of their numbers.
     pub singularities: Vec<Singularity>,
+    /// Whether the host fixed the singularities, so that the map keeps all of them.
+    pub fixed_singularities: bool,
     /// What the field was asked to follow: unit tangent directions with their weights; the map follows them too.
     pub lines: Vec<DirectionConstraint>,
+    /// The same for the directions that run parallel to those lines, beside them.
+    pub parallels: Vec<DirectionConstraint>,
     /// How good the field is.
     pub diagnostics: FieldDiagnostics,
 }

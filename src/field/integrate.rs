@@ -196,7 +196,9 @@ impl<'a> Integrator<'a> {
             Density::EdgeLength(edge) => edge,
             Density::CellCount(count) => (area / count).sqrt(),
         };
-        let seams = Seams::new(field, options.pair_distance * edge, options.rim_distance * edge);
+        // What a host fixed stays, even where the grid is too coarse to show it.
+        let reach = if field.fixed_singularities { 0.0 } else { edge };
+        let seams = Seams::new(field, options.pair_distance * reach, options.rim_distance * reach);
         let triangles = elements(field, &seams)?;
         let mut layout = Layout::new(field, &seams);
         layout.fit_sides(field, &seams, options.sides);
@@ -510,7 +512,7 @@ const HALF_WEIGHT: f64 = 30.0;
 
 /// Gives each element the lines on its triangle.
 fn add_lines(field: &ConjugateField, seams: &Seams, elements: &mut [Element]) {
-    for line in &field.lines {
+    for line in field.lines.iter().chain(&field.parallels) {
         let t = line.triangle as usize;
         let along = [0, 1].map(|i| field.layout_direction(line.triangle, (seams.name[t] + i) as usize));
         let family = usize::from(along[1].dot(&line.direction).abs() > along[0].dot(&line.direction).abs());

@@ -7,7 +7,9 @@ mod conjugate_field;
 mod integrate;
 mod lift;
 mod matching;
+mod parallel;
 mod polyvector;
+mod prescribe;
 mod seams;
 mod smooth;
 mod system;
@@ -28,6 +30,8 @@ pub use lift::{
 };
 pub use matching::{Cross, match_field, matching};
 pub use polyvector::PolyVector;
-pub use smooth::{DirectionConstraint, FieldOptions, conjugate_field, smoothness_energy};
+pub use smooth::{
+    DirectionConstraint, FieldOptions, conjugate_field, conjugate_field_with_singularities, smoothness_energy,
+};
 pub use topology::{EdgeTopology, NO_TRIANGLE, TriangleFrames};
 pub use trace::{Trace, TraceEnd, trace, trace_both_ways};

@@ -4,7 +4,9 @@ use super::coarse::Coarse;
 use super::conjugate::{SecondForm, second_forms};
 use super::conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 use super::matching::{Cross, match_edges, matching};
+use super::parallel::{Parallel, parallels};
 use super::polyvector::PolyVector;
+use super::prescribe;
 use super::system::TriangleSystem;
 use super::topology::{EdgeTopology, TriangleFrames, wrap};
 use crate::control::Control;
@@ -38,11 +40,17 @@ pub struct FieldOptions {
     /// Pull of the crossing angle towards 90 degrees, in the same unit.
     pub orthogonality_weight: f64,
     /// A triangle is flat, and conjugacy ignored there, where |II| is below this share of its root mean square over the surface (or below
-    /// this share of 1 / sqrt(area)).
+    /// this share of 1 / sqrt(area)); radii of curvature below the size of a triangle count as that size.
     pub flatness: f64,
-    /// Weight of the integral of II(u, v)^2 in the layout: where curvature is k, the field gives way to conjugacy over a distance of
-    /// about 1 / (k sqrt(weight)).
+    /// Weight of the integral of II(u, v)^2 in the layout, four times as much once its topology is settled: where curvature is k, the
+    /// field gives way to conjugacy over a distance of about 1 / (k sqrt(weight)).
     pub conjugacy_weight: f64,
+    /// Pull towards running parallel to the constraints beside them, in the unit of the guess' weight; 0: constraints count on their own
+    /// triangles alone, and panels, which are larger, turn away from them. In the layout it weighs on meshes of more than 24 cells, once
+    /// the topology is settled.
+    pub parallel_weight: f64,
+    /// Distance at which that pull has faded out, in square roots of the area.
+    pub parallel_reach: f64,
     /// Whether a family follows the border along the sides u = min, u = max, v = min, v = max, as a hard constraint.
     pub aligned_sides: [bool; 4],
     /// Most Gauss-Newton iterations.
@@ -58,6 +66,8 @@ impl Default for FieldOptions {
             orthogonality_weight: 0.5,
             flatness: 0.02,
             conjugacy_weight: 100.0,
+            parallel_weight: 0.0,
+            parallel_reach: 0.075,
             aligned_sides: [false; 4],
             iterations: 30,
         }
@@ -76,6 +86,8 @@ impl FieldOptions {
             ("orthogonality_weight", self.orthogonality_weight),
             ("flatness", self.flatness),
             ("conjugacy_weight", self.conjugacy_weight),
+            ("parallel_weight", self.parallel_weight),
+            ("parallel_reach", self.parallel_reach),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return fail(name, value, "a finite number that is not negative");
@@ -112,6 +124,44 @@ pub fn conjugate_field(
     options: &FieldOptions,
     control: &Control,
 ) -> Result<ConjugateField, Error> {
+    solve(mesh, guess, constraints, None, options, control)
+}
+
+/// The smoothest conjugate field that has the given singularities, and no others.
+///
+/// - `singularities`: inner vertices with an index of 1 or -1, in any order; none is a field without singularities.
+///
+/// Where all four sides are aligned the indices have to sum to 4 quarter turns less one for each corner of the border, of about 90 degrees:
+/// 0 for a patch with four corners. Where a side is free, any singularities will do. Hard constraints bind as ever: a line that
+/// asks for another singularity gets a crack where the cross turns at once.
+///
+/// # Errors
+/// [`Error::Argument`] for an index other than 1 and -1, a vertex on the border or none, or two singularities on one vertex;
+/// [`Error::SingularityCount`] for indices that aligned sides leave no room for; and as [`conjugate_field`].
+///
+/// # Source
+/// Trivial connections (Crane et al. 2010) fix the rotation of a field by its singularities; here they fix the quarter turns across
+/// edges, which are moved along paths from where a free field would have its singularities, and the energy stays that of
+/// [`conjugate_field`]. The paper has no such entry.
+pub fn conjugate_field_with_singularities(
+    mesh: SurfaceMesh,
+    guess: Option<&[[Vector3<f64>; 2]]>,
+    constraints: &[DirectionConstraint],
+    singularities: &[Singularity],
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<ConjugateField, Error> {
+    solve(mesh, guess, constraints, Some(singularities), options, control)
+}
+
+fn solve(
+    mesh: SurfaceMesh,
+    guess: Option<&[[Vector3<f64>; 2]]>,
+    constraints: &[DirectionConstraint],
+    fixed: Option<&[Singularity]>,
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<ConjugateField, Error> {
     options.check()?;
     let count = mesh.triangles.len();
     if let Some(guess) = guess
@@ -122,12 +172,15 @@ pub fn conjugate_field(
     }
     control.step("field", 0.0)?;
     let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles)?;
+    if let Some(fixed) = fixed {
+        prescribe::check(&mesh, &edges, &options.aligned_sides, fixed)?;
+    }
     let frames = TriangleFrames::new(&mesh, &edges)?;
     let mut constraints = constraints.to_vec();
     border_constraints(&mesh, &edges, &options.aligned_sides, &mut constraints);
     let forms = second_forms(&mesh, &frames);
     let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms };
-    let Layout { crosses, jumps, iterations } = layout(&patch, guess, &constraints, options, control)?;
+    let Layout { crosses, jumps, iterations } = layout(&patch, guess, &constraints, fixed, options, control)?;
     control.step("field", 0.8)?;
     let layout = directions(&frames, &crosses);
     let problem = Problem::new(&patch, Conjugacy::Exact, guess, &constraints, options)?;
@@ -137,15 +190,26 @@ pub fn conjugate_field(
     control.step("field", 0.95)?;
     let Finished { directions, matching, singularities, diagnostics } = problem.finish(&crosses, &jumps, iterations);
     control.step("field", 1.0)?;
-    let lines = constraints
-        .iter()
-        .filter_map(|c| {
-            let normal = frames.normals[c.triangle as usize];
-            let direction = (c.direction - normal * normal.dot(&c.direction)).try_normalize(1e-12)?;
-            Some(DirectionConstraint { direction, ..*c })
-        })
-        .collect();
-    Ok(ConjugateField { mesh, directions, layout, edges, matching, singularities, lines, diagnostics })
+    let tangential = |c: &DirectionConstraint| {
+        let normal = frames.normals[c.triangle as usize];
+        let direction = (c.direction - normal * normal.dot(&c.direction)).try_normalize(1e-12)?;
+        Some(DirectionConstraint { direction, ..*c })
+    };
+    let lines = constraints.iter().filter_map(tangential).collect();
+    let parallels = problem.parallels;
+    let fixed_singularities = fixed.is_some();
+    Ok(ConjugateField {
+        mesh,
+        directions,
+        layout,
+        edges,
+        matching,
+        singularities,
+        fixed_singularities,
+        lines,
+        parallels,
+        diagnostics,
+    })
 }
 
 /// Dirichlet energy of the PolyVector coefficients of a field of unit directions: the sum over inner edges of
@@ -245,27 +309,51 @@ struct Layout {
 /// The smoothest crosses with conjugacy as a soft term.
 ///
 /// A mesh finer than [`BASE_CELLS`] starts from the layout on one of half the resolution, keeps its topology, and needs a few iterations only.
+/// With `fixed` singularities the quarter turns are moved until the crosses have those.
 fn layout(
     patch: &Patch,
     guess: Option<&[[Vector3<f64>; 2]]>,
     constraints: &[DirectionConstraint],
+    fixed: Option<&[Singularity]>,
     options: &FieldOptions,
     control: &Control,
 ) -> Result<Layout, Error> {
-    let problem = Problem::new(patch, Conjugacy::Soft, guess, constraints, options)?;
-    if patch.mesh.cells.iter().all(|&n| n <= BASE_CELLS) {
+    let base = patch.mesh.cells.iter().all(|&n| n <= BASE_CELLS);
+    // Neither bumps nor parallels of lines shall make singularities: only with the topology settled does conjugacy weigh more, and do
+    // parallels weigh at all.
+    let weighed = if base {
+        FieldOptions { parallel_weight: 0.0, ..*options }
+    } else {
+        FieldOptions { conjugacy_weight: FINE_CONJUGACY * options.conjugacy_weight, ..*options }
+    };
+    let problem = Problem::new(patch, Conjugacy::Soft, guess, constraints, &weighed)?;
+    if base {
         let crosses = problem.initial(control)?;
         control.step("field", 0.3)?;
-        let (crosses, iterations) = problem.settle(crosses, control)?;
-        return Ok(Layout { jumps: problem.nearest_jumps(&crosses), crosses, iterations });
+        let (crosses, jumps, iterations) = match fixed {
+            Some(fixed) => {
+                let jumps = problem.prescribed_jumps(&crosses, fixed);
+                let most = options.iterations;
+                let (crosses, spent) =
+                    problem.optimize(&mut problem.system()?, crosses, Some(&jumps), most, control)?;
+                (crosses, jumps, spent)
+            }
+            None => {
+                let (crosses, spent) = problem.settle(crosses, control)?;
+                let jumps = problem.nearest_jumps(&crosses);
+                (crosses, jumps, spent)
+            }
+        };
+        return Ok(Layout { crosses, jumps, iterations });
     }
     let coarse = Coarse::new(patch.mesh, guess, constraints)?;
     let edges = EdgeTopology::new(coarse.mesh.points.len(), &coarse.mesh.triangles)?;
     let frames = TriangleFrames::new(&coarse.mesh, &edges)?;
     let forms = coarse.forms(patch.frames, patch.forms, &frames);
     let below = Patch { mesh: &coarse.mesh, edges: &edges, frames: &frames, forms: &forms };
+    let fixed_below = fixed.map(|fixed| coarse.singularities(patch.mesh.cells, fixed));
     let Layout { crosses, iterations, .. } =
-        layout(&below, coarse.guess.as_deref(), &coarse.constraints, options, control)?;
+        layout(&below, coarse.guess.as_deref(), &coarse.constraints, fixed_below.as_deref(), options, control)?;
     let start: Vec<Cross> = (0..patch.mesh.triangles.len())
         .map(|t| {
             let c = coarse.triangles[t] as usize;
@@ -273,8 +361,11 @@ fn layout(
             problem.allowed(t, &Cross::from_angles(angle(crosses[c].u()), angle(crosses[c].v())))
         })
         .collect();
-    let jumps = problem.nearest_jumps(&start);
-    let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), FINE_ITERATIONS, control)?;
+    let (jumps, most) = match fixed {
+        Some(fixed) => (problem.prescribed_jumps(&start, fixed), options.iterations),
+        None => (problem.nearest_jumps(&start), FINE_ITERATIONS),
+    };
+    let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), most, control)?;
     Ok(Layout { crosses, jumps, iterations: iterations + more })
 }
 
@@ -327,6 +418,8 @@ struct Problem<'a> {
     target: Vec<(Cross, f64)>,
     orthogonality: Vec<f64>,
     constraint_angles: Vec<(usize, f64, f64)>,
+    /// Directions beside the constraints, as constraints.
+    parallels: Vec<DirectionConstraint>,
     has_guess: bool,
     floor: f64,
     options: &'a FieldOptions,
@@ -344,16 +437,20 @@ impl<'a> Problem<'a> {
         let floor = options.crossing_floor_deg.to_radians();
         let area: f64 = frames.areas.iter().sum();
         let share: Vec<f64> = frames.areas.iter().map(|a| a / area).collect();
-        let mean_square: f64 = forms.iter().zip(&share).map(|(f, a)| f.norm().powi(2) * a).sum();
+        // A triangle cannot tell a radius of curvature below its own size: a spike at a nearly collapsed corner must neither weigh without
+        // bound nor make the rest of the surface count as flat.
+        let curvature = |t: usize| {
+            let square = forms[t].norm().powi(2);
+            square / (1.0 + frames.areas[t] * square)
+        };
+        let mean_square: f64 = share.iter().enumerate().map(|(t, a)| curvature(t) * a).sum();
         let least = options.flatness * mean_square.sqrt().max(area.sqrt().recip());
         let flat: Vec<bool> = forms.iter().map(|f| f.norm() <= least).collect();
-        // A triangle cannot tell a radius of curvature below its own size: a spike at a nearly collapsed corner must not weigh without bound.
         let soft = |t: usize| {
-            let area = frames.areas[t];
             if conjugacy == Conjugacy::Exact || flat[t] {
                 0.0
             } else {
-                options.conjugacy_weight * area / (1.0 + area * forms[t].norm().powi(2))
+                options.conjugacy_weight * frames.areas[t] / (1.0 + frames.areas[t] * forms[t].norm().powi(2))
             }
         };
         let exact = conjugacy == Conjugacy::Exact;
@@ -371,6 +468,7 @@ impl<'a> Problem<'a> {
             target: vec![(Cross { bisector: 0.0, half_crossing: FRAC_PI_4 }, 0.0); count],
             orthogonality: share.iter().map(|a| a * options.orthogonality_weight).collect(),
             constraint_angles: vec![],
+            parallels: vec![],
             has_guess: guess.is_some(),
             floor,
             options,
@@ -384,6 +482,15 @@ impl<'a> Problem<'a> {
             };
         }
         problem.add_constraints(constraints, exact)?;
+        if options.parallel_weight > 0.0 {
+            let reach = options.parallel_reach * area.sqrt();
+            for Parallel { triangle, angle, strength } in parallels(mesh, edges, frames, constraints, reach) {
+                let weight = options.parallel_weight * share[triangle] * strength;
+                problem.soft.push((triangle, angle, weight));
+                let direction = frames.direction(triangle, angle);
+                problem.parallels.push(DirectionConstraint { triangle: triangle as u32, direction, weight });
+            }
+        }
         problem.add_targets(guess, &share);
         Ok(problem)
     }
@@ -744,7 +851,7 @@ impl<'a> Problem<'a> {
         let rigidity = self.rigidity();
         for (reach, saving) in [(f64::INFINITY, FAR_PAIR_ENERGY), (CLOSE_PAIR * size, CLOSE_PAIR_ENERGY)] {
             let (_, singularities) = self.matched(&crosses);
-            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach);
+            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach, &|_| true);
             if paths.is_empty() {
                 continue;
             }
@@ -779,6 +886,25 @@ impl<'a> Problem<'a> {
             let (_, rotation, _) = self.across(e, crosses, None);
             let plain = crosses[g].bisector - crosses[f].bisector - self.frames.turns[e];
             jumps[e] = ((rotation - plain) / FRAC_PI_2).round() as i32;
+        }
+        jumps
+    }
+
+    /// Quarter turns across each edge with which `crosses` have the `fixed` singularities and no others.
+    fn prescribed_jumps(&self, crosses: &[Cross], fixed: &[Singularity]) -> Vec<i32> {
+        let mut jumps = self.nearest_jumps(crosses);
+        let present = self.matched(crosses).1;
+        let mut rigidity = self.rigidity();
+        // A crack across a line that the field follows could not close.
+        for &(t, _, weight) in &self.soft {
+            rigidity[t] += weight;
+        }
+        for (rigid, hard) in rigidity.iter_mut().zip(&self.hard) {
+            *rigid += if hard.is_some() { HARD_WEIGHT } else { 0.0 };
+        }
+        let sides = &self.options.aligned_sides;
+        for (edge, quarters) in prescribe::turns(self.mesh, self.edges, &rigidity, sides, &present, fixed) {
+            jumps[edge as usize] += quarters;
         }
         jumps
     }
@@ -913,6 +1039,8 @@ const CLOSE_PAIR_ENERGY: f64 = 1.5;
 const REMOVAL_ITERATIONS: usize = 4;
 /// Most cells along a side of the mesh on which the layout finds its topology.
 const BASE_CELLS: usize = 24;
+/// How much more conjugacy weighs on finer meshes.
+const FINE_CONJUGACY: f64 = 4.0;
 /// Most Gauss-Newton iterations of the layout on each finer mesh, and of the exactly conjugate field.
 const FINE_ITERATIONS: usize = 4;
 const EXACT_ITERATIONS: usize = 3;

@@ -25,6 +25,8 @@ pub struct Repairs {
     pub snapped: usize,
     /// Slivers united with a neighbour.
     pub united: usize,
+    /// Cells cut in two because the border bends out of their plane.
+    pub cut: usize,
     /// Faces that were left out.
     pub dropped: usize,
 }

@@ -1,6 +1,7 @@
 //! From a seamless map to panels.
 
 use super::border::{self, BorderMode, Repairs};
+use super::chords::{BorderSag, follow_border};
 use super::isolines::arrange;
 use super::panel_mesh::PanelMesh;
 use super::planar_map::{Course, NONE, Place, PlanarMap};
@@ -48,6 +49,8 @@ pub enum EdgeFamily {
     V,
     /// The border of the mesh.
     Border,
+    /// None: the edge cuts a cell at the border in two.
+    Cut,
 }
 
 /// Panels on a surface, not yet planar.
@@ -61,7 +64,7 @@ pub struct ExtractedMesh {
     pub edges: Vec<[u32; 2]>,
     /// What each edge follows.
     pub families: Vec<EdgeFamily>,
-    /// Inner vertices with other than four edges.
+    /// Inner vertices with other than four edges, cuts not counted.
     pub irregular: Vec<u32>,
     /// What had to be repaired.
     pub repairs: Repairs,
@@ -78,6 +81,8 @@ pub struct ExtractOptions {
     pub shortest_border_edge: f64,
     /// Smallest panel that is left at the border, in cells.
     pub smallest_panel: f64,
+    /// Farthest that an edge on the border strays from it; nodes on the border are added until it holds.
+    pub border_sag: BorderSag,
     /// Corners of the patch whose angle differs less than this from a straight line are no corners of panels, radians.
     pub straight_corner: f64,
 }
@@ -88,6 +93,7 @@ impl Default for ExtractOptions {
             border: BorderMode::Trimmed,
             shortest_border_edge: 0.25,
             smallest_panel: 0.15,
+            border_sag: BorderSag { in_plane: 0.05, out_of_plane: 0.06 },
             straight_corner: 15f64.to_radians(),
         }
     }
@@ -197,6 +203,7 @@ pub fn extract(
             }
         }
         border::simplify(&mut cells, &mut repairs);
+        repairs.cut = follow_border(&mut cells, surface, &options.border_sag);
         cells.faces()
     };
     assemble(&cells, faces, surface, repairs, options.border != BorderMode::Interior)
@@ -259,6 +266,7 @@ fn assemble(
                 Course::U => EdgeFamily::U,
                 Course::V => EdgeFamily::V,
                 Course::Border => EdgeFamily::Border,
+                Course::Cut => EdgeFamily::Cut,
             };
             edges.push(([a.min(b), a.max(b)], family, false));
         }
@@ -285,7 +293,7 @@ fn assemble(
     edges.dedup_by_key(|e| e.0);
     let check = topology::check(&mesh);
     let mut degree = vec![0usize; mesh.vertices.len()];
-    for ([a, b], ..) in &edges {
+    for ([a, b], ..) in edges.iter().filter(|e| e.1 != EdgeFamily::Cut) {
         degree[*a as usize] += 1;
         degree[*b as usize] += 1;
     }
@@ -379,13 +387,23 @@ impl ExtractedMesh {
     /// Triples (previous, vertex, next) along grid lines: two for each inner vertex of four edges, one along the border for
     /// each border vertex that is no corner. What fairness and isolines read.
     pub fn strips(&self) -> Vec<[u32; 3]> {
-        grid_triples(&self.mesh, |v| matches!(self.origins[v as usize].kind, VertexKind::Corner { .. }))
+        let corner = |v: u32| matches!(self.origins[v as usize].kind, VertexKind::Corner { .. });
+        let is_cut = |a: u32, b: u32| {
+            let edge = self.edges.binary_search(&[a.min(b), a.max(b)]);
+            edge.is_ok_and(|e| self.families[e] == EdgeFamily::Cut)
+        };
+        triples_along(&self.mesh, corner, is_cut)
     }
 }
 
 /// Triples (previous, vertex, next) along the grid lines of a manifold mesh: opposite neighbours at inner vertices of even degree, and the
 /// border neighbours at border vertices that are no `corner`. In order of the vertices.
 pub fn grid_triples(mesh: &PanelMesh, corner: impl Fn(u32) -> bool) -> Vec<[u32; 3]> {
+    triples_along(mesh, corner, |_, _| false)
+}
+
+/// The same without edges that `is_cut`, as if these were not there.
+fn triples_along(mesh: &PanelMesh, corner: impl Fn(u32) -> bool, is_cut: impl Fn(u32, u32) -> bool) -> Vec<[u32; 3]> {
     // For each directed side (a, b), the side that leaves `a` next, counter-clockwise.
     let mut sides: Vec<(u32, u32, u32)> = Vec::with_capacity(mesh.indices.len());
     for face in mesh.faces() {
@@ -410,6 +428,7 @@ pub fn grid_triples(mesh: &PanelMesh, corner: impl Fn(u32) -> bool) -> Vec<[u32;
             }
             ring.push(s.2);
         }
+        ring.retain(|&n| !is_cut(vertex, n));
         if start.is_some() {
             if !corner(vertex) {
                 triples.push([ring[0], vertex, ring[ring.len() - 1]]);

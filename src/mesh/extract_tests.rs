@@ -20,7 +20,18 @@ fn field_of(mesh: SurfaceMesh, directions: impl Fn(usize, Point3<f64>) -> [Vecto
     let directions: Vec<[Vector3<f64>; 2]> =
         (0..mesh.triangles.len()).map(|t| [crosses[t].u(), crosses[t].v()].map(|a| frames.direction(t, a))).collect();
     let (layout, lines, diagnostics) = (directions.clone(), vec![], FieldDiagnostics::default());
-    ConjugateField { mesh, directions, layout, edges, matching, singularities, lines, diagnostics }
+    ConjugateField {
+        mesh,
+        directions,
+        layout,
+        edges,
+        matching,
+        singularities,
+        fixed_singularities: false,
+        lines,
+        parallels: vec![],
+        diagnostics,
+    }
 }
 
 fn square(size: f64) -> NurbsSurface {
@@ -136,7 +147,7 @@ fn picture(name: &str, result: &ExtractedMesh, field: &ConjugateField) {
             match family {
                 EdgeFamily::U => paint.set_color_rgba8(200, 40, 40, 255),
                 EdgeFamily::V => paint.set_color_rgba8(40, 70, 200, 255),
-                EdgeFamily::Border => paint.set_color_rgba8(0, 0, 0, 255),
+                EdgeFamily::Border | EdgeFamily::Cut => paint.set_color_rgba8(0, 0, 0, 255),
             }
             let Some(path) = path.finish() else { continue };
             pixmap.stroke_path(&path, &paint, &Stroke { width: 1.5, ..Stroke::default() }, Transform::identity(), None);
@@ -273,6 +284,83 @@ fn curved_patches_are_covered() {
         let field = field_of(mesh, |_, p| turned_frame(angle + 0.3 * (0.5 * p.x).sin() + 0.2 * (0.7 * p.y).cos()));
         run(&format!("wavy{seed}"), &field, &surface, 400);
     }
+}
+
+/// Farthest that the border of a surface is from that of a mesh, in mean edge lengths.
+fn border_gap(result: &ExtractedMesh, surface: &NurbsSurface) -> f64 {
+    let at_border = |e: &(&[u32; 2], &EdgeFamily)| *e.1 == EdgeFamily::Border;
+    let sides: Vec<[Point3<f64>; 2]> = (result.edges.iter().zip(&result.families).filter(at_border))
+        .map(|(edge, _)| edge.map(|v| result.mesh.vertices[v as usize]))
+        .collect();
+    let mut gap = 0.0f64;
+    for k in 0..800 {
+        let t = (k % 200) as f64 / 200.0;
+        let [s, t] = [[t, 0.0], [1.0, t], [t, 1.0], [0.0, t]][k / 200];
+        let [u, v] = surface.at_fraction(s, t);
+        let p = surface.point(u, v);
+        let apart = |[a, b]: &[Point3<f64>; 2]| {
+            let along = ((p - a).dot(&(b - a)) / (b - a).norm_squared()).clamp(0.0, 1.0);
+            (p - (a + (b - a) * along)).norm()
+        };
+        gap = gap.max(sides.iter().map(apart).fold(f64::INFINITY, f64::min));
+    }
+    gap / crate::mesh::mean_edge_length(&result.mesh)
+}
+
+/// A patch (r, angle) -> point, 10 x 10 control points, with a field that runs along x, turned.
+fn bent(at: impl Fn(f64, f64) -> [f64; 3], turn: f64) -> (NurbsSurface, ConjugateField) {
+    let points = (0..100).map(|k| at((k / 10) as f64 / 9.0, (k % 10) as f64 / 9.0).into()).collect();
+    let surface = NurbsSurface::uniform(3, [10, 10], points).unwrap();
+    let field = field_of(SurfaceMesh::new(&surface, [30, 30]).unwrap(), |_, _| turned_frame(turn));
+    (surface, field)
+}
+
+#[test]
+fn borders_are_followed_where_panels_are_large() {
+    let (surface, field) = bent(
+        |r, a| {
+            let (sin, cos) = (2.0 * a).sin_cos();
+            [(2.0 + 3.0 * r) * cos, (2.0 + 3.0 * r) * sin, 0.0]
+        },
+        0.3,
+    );
+    let (map, fine) = run("sector", &field, &surface, 40);
+    let loose = BorderSag { in_plane: f64::INFINITY, out_of_plane: f64::INFINITY };
+    let options = ExtractOptions { border_sag: loose, ..ExtractOptions::default() };
+    let coarse = extract(&map, &surface, &options, &Control::default()).unwrap();
+    assert_eq!(fine.mesh.face_count(), coarse.mesh.face_count());
+    // The mean edge that the gap is measured in is shorter for it.
+    assert!(border_gap(&coarse, &surface) > 0.08 && border_gap(&fine, &surface) < 0.045);
+    // (5^2 - 2^2) / 2 times the angle, but for what the control net cuts off.
+    let exact: f64 = (0..field.mesh.triangles.len()).map(|t| field.mesh.triangle_normal_area(t).1).sum();
+    assert!((area(&fine.mesh) - exact).abs() < 0.01 * exact);
+}
+
+#[test]
+fn cells_over_a_bent_border_are_cut_and_become_planar() {
+    use crate::mesh::{PlanarizeInput, PlanarizeOptions, border_vertices, planarize};
+    use crate::surface::SurfaceProjector;
+    let (surface, field) = bent(
+        |s, a| {
+            let (sin, cos) = (2.4 * (a - 0.5)).sin_cos();
+            [4.0 * s, 2.0 * sin, 2.0 * cos]
+        },
+        0.6,
+    );
+    let (_, result) = run("vault", &field, &surface, 40);
+    assert!(result.families.contains(&EdgeFamily::Cut) && result.irregular.is_empty());
+    assert!(border_gap(&result, &surface) < 0.08, "{}", border_gap(&result, &surface));
+    let (border, polylines) = (border_vertices(&result.mesh), result.strips());
+    let input = PlanarizeInput {
+        reference: Some(&SurfaceProjector::new(&surface)),
+        border: &border,
+        polylines: &polylines,
+        ..PlanarizeInput::new(&result.mesh)
+    };
+    let planar = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+    assert!(planar.is_planar, "{}", planar.planarity_max());
+    let moved = ExtractedMesh { mesh: planar.mesh, ..result };
+    assert!(border_gap(&moved, &surface) < 0.17, "{}", border_gap(&moved, &surface));
 }
 
 /// Signed areas of all faces in the parameter plane.

@@ -1,7 +1,9 @@
 //! Panel meshes: extraction from a map, borders, planarity, planarization.
 
 mod border;
+mod chords;
 mod extract;
+mod feature_lines;
 mod isolines;
 mod obj;
 mod offsets;
@@ -14,9 +16,11 @@ mod split;
 mod topology;
 
 pub use border::{BorderMode, Repairs};
+pub use chords::BorderSag;
 pub use extract::{
     EdgeFamily, ExtractOptions, ExtractedMesh, PanelTarget, VertexKind, VertexOrigin, extract, grid_triples, panels,
 };
+pub use feature_lines::{FeaturePiece, feature_angle, feature_pieces};
 pub use obj::{read_obj, write_obj};
 pub use offsets::{OffsetKind, circularity, conicality};
 pub use panel_mesh::PanelMesh;

@@ -40,6 +40,8 @@ pub(crate) enum Course {
     V,
     /// Along the patch's border.
     Border,
+    /// Across a cell at the border, along nothing.
+    Cut,
 }
 
 /// Half-edges around nodes. A face lies to the left of its half-edges; the outside counts as one.
@@ -268,6 +270,50 @@ impl PlanarMap {
         let Some(&which) = [h, g].iter().find(|&&e| !self.outer[self.twin[e as usize] as usize]) else { return false };
         self.remove(which);
         true
+    }
+
+    /// Puts a node onto an edge; `h` ends there now. Returns the half-edge from there to where `h` ended.
+    pub fn subdivide(&mut self, h: u32, node: Node) -> u32 {
+        let t = self.twin[h as usize];
+        let number = self.nodes.len() as u32;
+        let [onward, back] = [0, 1].map(|k| self.origin.len() as u32 + k);
+        self.nodes.push(node);
+        self.first.push(onward);
+        for (twin, like) in [(t, h), (h, t)] {
+            let half = 0.5 * self.traced[like as usize];
+            self.traced[like as usize] = half;
+            self.origin.push(number);
+            self.twin.push(twin);
+            self.outer.push(self.outer[like as usize]);
+            self.course.push(self.course[like as usize]);
+            self.traced.push(half);
+            self.alive.push(true);
+        }
+        self.ccw.extend([back, onward]);
+        self.cw.extend([back, onward]);
+        self.twin[t as usize] = onward;
+        self.twin[h as usize] = back;
+        onward
+    }
+
+    /// Cuts a face in two by an edge between the origins of two of its half-edges. Returns the new half-edge that leaves the origin of `h`; the
+    /// face of `h` is to the left of the other one.
+    pub fn divide(&mut self, h: u32, g: u32) -> u32 {
+        let [there, back] = [0, 1].map(|k| self.origin.len() as u32 + k);
+        for (half, before, twin) in [(there, h, back), (back, g, there)] {
+            let after = self.ccw[before as usize];
+            self.origin.push(self.origin[before as usize]);
+            self.twin.push(twin);
+            self.outer.push(false);
+            self.course.push(Course::Cut);
+            self.traced.push(1.0);
+            self.alive.push(true);
+            self.ccw.push(after);
+            self.cw.push(before);
+            self.ccw[before as usize] = half;
+            self.cw[after as usize] = half;
+        }
+        there
     }
 
     /// Joins the two edges at a node of degree two, unless a face would be left with fewer than three.

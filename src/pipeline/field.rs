@@ -5,11 +5,13 @@ use super::lift::{Seen, canvas_field};
 use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
+use super::singularities::{self, FixedSingularity, Place};
 use super::surface::{SurfacePatch, SurfaceResult};
 use crate::control::Control;
 use crate::error::Error;
 use crate::field::{
-    CanvasView, ConjugateField, conjugate_field, constraints_from_lines, constraints_from_parameters, guess_from_canvas,
+    CanvasView, ConjugateField, DirectionConstraint, conjugate_field, conjugate_field_with_singularities,
+    constraints_from_lines, constraints_from_parameters, guess_from_canvas,
 };
 use crate::infer::{Networks, SketchMaps};
 use crate::sketch::{CanonicalFrame, PatchSketch, Sketch, StrokeKind, rasterize, understand};
@@ -17,7 +19,7 @@ use crate::surface::{NurbsSurface, SurfaceMesh};
 use nalgebra::{Point3, Vector3};
 
 /// What a host may ask of a field.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FieldOptions {
     /// Whether the network's guess steers the field where the sketch has an outline.
     pub use_network: bool,
@@ -27,6 +29,8 @@ pub struct FieldOptions {
     pub resolution: usize,
     /// Smallest crossing angle of the two families, degrees, in (0, 80].
     pub crossing_floor_deg: f64,
+    /// The singularities that the fields shall have, and no others; `None`: the solver places what it needs.
+    pub singularities: Option<Vec<FixedSingularity>>,
 }
 
 /// Cells along the longer side of a patch unless the host says otherwise.
@@ -34,13 +38,21 @@ const DEFAULT_RESOLUTION: usize = 40;
 /// Weight of a feature line that crosses a whole triangle. In the solver's unit an edge weighs about 1, so the field
 /// follows the line and yields where two lines contradict each other.
 const LINE_WEIGHT: f64 = 300.0;
+/// Pull towards running parallel to feature lines beside them, in the solver's unit: panels are larger than triangles, and where the field
+/// turned back to what the network guesses within half a panel their edges would not see the line at all.
+const PARALLEL_WEIGHT: f64 = 6400.0;
 /// Range of what a host may say, and fewest cells along the shorter side.
 const RESOLUTIONS: std::ops::RangeInclusive<usize> = 8..=256;
 
 impl FieldOptions {
     /// The defaults.
-    pub const DEFAULT: Self =
-        Self { use_network: true, aligned_sides: [false; 4], resolution: 0, crossing_floor_deg: 20.0 };
+    pub const DEFAULT: Self = Self {
+        use_network: true,
+        aligned_sides: [false; 4],
+        resolution: 0,
+        crossing_floor_deg: 20.0,
+        singularities: None,
+    };
 
     fn check(&self) -> Result<(), Error> {
         if self.resolution != 0 && !RESOLUTIONS.contains(&self.resolution) {
@@ -55,6 +67,7 @@ impl FieldOptions {
         crate::field::FieldOptions {
             crossing_floor_deg: self.crossing_floor_deg,
             aligned_sides: self.aligned_sides,
+            parallel_weight: PARALLEL_WEIGHT,
             ..crate::field::FieldOptions::default()
         }
     }
@@ -148,7 +161,8 @@ impl FieldResult {
 /// strong soft constraints.
 ///
 /// # Errors
-/// [`Error::Argument`] for options out of range; as [`understand`] for the sketch and [`conjugate_field`] for the
+/// [`Error::Argument`] for options out of range, singularities among them; [`Error::SingularityCount`] for singularities that a border
+/// followed all around leaves no room for; as [`understand`] for the sketch and [`conjugate_field`] for the
 /// surface; [`Error::Backend`] and [`Error::Model`] from the network; [`Error::Cancelled`].
 ///
 /// # Source
@@ -174,7 +188,7 @@ pub fn sketch_to_cdf(
 ///
 /// # Errors
 /// [`Error::Argument`] for options out of range, a curve of less than two points, with a coordinate that is not finite, or farther from the
-/// surface than a tenth of its size; as [`conjugate_field`]; [`Error::Cancelled`].
+/// surface than a tenth of its size; singularities as in [`sketch_to_cdf`]; as [`conjugate_field`]; [`Error::Cancelled`].
 ///
 /// # Source
 /// The last stage of Sketch2PQ, Sec. 3.2.4, for surfaces that were not sketched; the paper has no such entry.
@@ -188,11 +202,11 @@ pub fn surface_to_cdf(
     session.run(|_, control| {
         let mut times = surface.report.time_ms;
         control.step("field", 0.0)?;
-        let working = |patch: &SurfacePatch| (patch.surface.mapped(|p| patch.placement.from_world(p)), patch.placement);
-        let surfaces: Vec<(NurbsSurface, Placement)> = surface.patches.iter().map(working).collect();
+        let surfaces = working(surface);
+        let fixed = fixed_places(&surfaces, options)?;
         let pieces = timed(&mut times.field, || on_surfaces(&surfaces, curves))?;
         let mut patches = Vec::with_capacity(surfaces.len());
-        for ((surface, placement), pieces) in surfaces.into_iter().zip(pieces) {
+        for (((surface, placement), pieces), fixed) in surfaces.into_iter().zip(pieces).zip(fixed) {
             let cells = cells(&surface, options.resolution);
             let field = timed(&mut times.field, || {
                 let mesh = SurfaceMesh::new(&surface, cells)?;
@@ -202,7 +216,7 @@ pub fn surface_to_cdf(
                     let curve = std::slice::from_ref(&piece.parameters);
                     constraints.extend(constraints_from_parameters(&mesh, curve, weight)?);
                 }
-                conjugate_field(mesh, None, &constraints, &options.solver(), control)
+                solve(mesh, None, &constraints, fixed.as_deref(), options, control)
             })?;
             let feature_lines = pieces.into_iter().map(|piece| piece.positions).collect();
             patches.push(FieldPatch { field, surface, placement, feature_lines });
@@ -210,6 +224,37 @@ pub fn surface_to_cdf(
         control.step("field", 1.0)?;
         Ok(reported(patches, surface, surface.report.backend.clone(), times))
     })
+}
+
+/// The surfaces in the frames in which the stages see them.
+fn working(surface: &SurfaceResult) -> Vec<(NurbsSurface, Placement)> {
+    let working = |patch: &SurfacePatch| (patch.surface.mapped(|p| patch.placement.from_world(p)), patch.placement);
+    surface.patches.iter().map(working).collect()
+}
+
+/// For each patch the singularities that its field shall have: parameters and indices; `None` where the solver places them.
+fn fixed_places(
+    surfaces: &[(NurbsSurface, Placement)],
+    options: &FieldOptions,
+) -> Result<Vec<Option<Vec<Place>>>, Error> {
+    match &options.singularities {
+        Some(fixed) => Ok(singularities::on_surfaces(surfaces, fixed)?.into_iter().map(Some).collect()),
+        None => Ok(vec![None; surfaces.len()]),
+    }
+}
+
+/// Solves for the field of a patch.
+fn solve(
+    mesh: SurfaceMesh,
+    guess: Option<&[[Vector3<f64>; 2]]>,
+    constraints: &[DirectionConstraint],
+    fixed: Option<&[Place]>,
+    options: &FieldOptions,
+    control: &Control,
+) -> Result<ConjugateField, Error> {
+    let Some(places) = fixed else { return conjugate_field(mesh, guess, constraints, &options.solver(), control) };
+    let fixed = singularities::on_mesh(&mesh, places);
+    conjugate_field_with_singularities(mesh, guess, constraints, &fixed, &options.solver(), control)
 }
 
 /// Adds measures to the fields of all patches.
@@ -246,14 +291,15 @@ fn run(
         _ => vec![],
     };
     let mut patches = Vec::with_capacity(surface.patches.len());
-    for (index, patch) in surface.patches.iter().enumerate() {
+    let fixed = fixed_places(&working(surface), options)?;
+    for (index, (patch, fixed)) in surface.patches.iter().zip(&fixed).enumerate() {
         let outline = if drawn.len() == surface.patches.len() {
             drawn.get(index)
         } else {
             // Fewer or more outlines than patches: the outline that the patch covers best.
             sketch.and_then(|sketch| best_outline(&drawn, patch, sketch))
         };
-        patches.push(patch_field(networks, sketch, outline, patch, options, control, &mut times)?);
+        patches.push(patch_field(networks, sketch, outline, patch, fixed.as_deref(), options, control, &mut times)?);
     }
     control.step("field", 1.0)?;
     let ran = (options.use_network && !drawn.is_empty()).then(|| networks.backend().to_string());
@@ -299,6 +345,7 @@ fn patch_field(
     sketch: Option<&Sketch>,
     outline: Option<&PatchSketch>,
     patch: &SurfacePatch,
+    fixed: Option<&[Place]>,
     options: &FieldOptions,
     control: &Control,
     times: &mut Times,
@@ -340,9 +387,8 @@ fn patch_field(
     };
     let feature_lines = timed(&mut times.field, || seen.map_or(vec![], |seen| seen.lifted_lines(&lines)));
     let constraints = timed(&mut times.field, || constraints_from_lines(&mesh, &view, &lines, LINE_WEIGHT))?;
-    let field = timed(&mut times.field, || {
-        conjugate_field(mesh.clone(), guess.as_deref(), &constraints, &options.solver(), control)
-    })?;
+    let field =
+        timed(&mut times.field, || solve(mesh.clone(), guess.as_deref(), &constraints, fixed, options, control))?;
     Ok(FieldPatch { field, surface, placement, feature_lines })
 }
 

@@ -9,10 +9,10 @@ use crate::error::Error;
 use crate::field::MapOptions;
 use crate::mesh::{
     BorderMode, ExtractOptions, ExtractedMesh, OffsetKind, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions,
-    Planarized, VertexKind, border_vertices, edge_lengths, panels, planarize, write_obj,
+    Planarized, VertexKind, border_vertices, edge_lengths, feature_angle, panels, planarize, write_obj,
 };
 use crate::surface::{NurbsSurface, SurfaceProjector};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
 /// Most faces that a host may ask for.
 pub const MAX_FACES: usize = 1_000_000;
@@ -98,6 +98,8 @@ pub struct MeshPatch {
     pub dropped: usize,
     /// Cells at the border that were split into triangles.
     pub split: usize,
+    /// Panels inside that were split into triangles, as a last resort: planar they would have turned over or strayed too far.
+    pub split_inside: usize,
     /// Length of the surface's border, and how much of it lies within a tenth of the mean edge length of the mesh's
     /// border; canvas unit.
     pub border_length: [f64; 2],
@@ -126,6 +128,7 @@ impl MeshPatch {
             irregular,
             dropped: 0,
             split: planarized.split.len(),
+            split_inside: 0,
             feature_angle: [0.0; 2],
             rounds: planarized.rounds,
         }
@@ -162,6 +165,8 @@ pub struct MeshMeasures {
     pub dropped: usize,
     /// Cells at the border that were split into triangles.
     pub split: usize,
+    /// Panels inside that were split into triangles as a last resort.
+    pub split_inside: usize,
     /// Planarity of the worst face.
     pub planarity_max: f64,
     /// Mean planarity of the faces.
@@ -198,6 +203,7 @@ impl MeshResult {
             quads: Some(all.quads),
             dropped: Some(all.dropped),
             split: Some(all.split),
+            split_inside: Some(all.split_inside),
             ..result.report
         };
         result
@@ -216,6 +222,7 @@ impl MeshResult {
             all.irregular_vertices += patch.irregular.len();
             all.dropped += patch.dropped;
             all.split += patch.split;
+            all.split_inside += patch.split_inside;
             all.planarity_max = patch.planarity.iter().copied().fold(all.planarity_max, f64::max);
             all.planarity_mean += patch.planarity.iter().sum::<f64>();
             all.deviation_max = all.deviation_max.max(deviation);
@@ -306,26 +313,37 @@ fn patch_mesh(
     })?;
     control.step("planarize", 0.0)?;
     let outline = border_vertices(&extracted.mesh);
-    let planarized = timed(&mut times.planarize, || flatten(&patch.surface, &extracted, &outline, options, control))?;
+    let planarized = timed(&mut times.planarize, || flatten(patch, &extracted, &outline, options, control))?;
     if options.strict && !planarized.is_planar {
         let (reached, rounds) = (planarized.planarity_max(), planarized.rounds);
         return Err(Error::NotPlanar { reached, target: options.planarity, rounds });
     }
+    let inside = planarized.split.iter().filter(|&&f| !at_border(extracted.mesh.face(f as usize), &outline)).count();
     let mut result = MeshPatch::new(planarized, Some(&patch.surface), &outline, extracted.irregular);
+    result.split -= inside;
+    result.split_inside = inside;
     result.feature_angle = feature_angle(&patch.feature_lines, &result.mesh);
     result.dropped = extracted.repairs.dropped;
     Ok(result.placed(&patch.placement))
+}
+
+/// Whether a face has a corner on the border, given as its ascending vertices.
+fn at_border(face: &[u32], outline: &[u32]) -> bool {
+    face.iter().any(|v| outline.binary_search(v).is_ok())
 }
 
 /// How many times the allowed deviation a planar mesh may stray: panels that cannot be built are no panels, and the report
 /// tells the deviation.
 const ALLOWANCE: f64 = 10.0;
 
+/// Planarity beyond which a panel is not left as it is: it becomes triangles.
+const SPLIT_BEYOND: f64 = 1e-4;
+
 /// Makes extracted panels planar.
 ///
-/// Where planarity would turn a face over or collapse an edge, cells at the border may become triangles.
+/// Where planarity would turn a face over or collapse an edge, cells at the border may become triangles, and panels inside as a last resort.
 fn flatten(
-    surface: &NurbsSurface,
+    patch: &FieldPatch,
     extracted: &ExtractedMesh,
     outline: &[u32],
     options: &MeshOptions,
@@ -337,10 +355,9 @@ fn flatten(
     let strips = extracted.strips();
     let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|origin| origin.parameter).collect();
     // Triangles at the border are panels like any other there.
-    let at_border = |face: &[u32]| face.iter().any(|v| outline.binary_search(v).is_ok());
-    let splittable: Vec<u32> =
-        (0..extracted.mesh.face_count() as u32).filter(|&f| at_border(extracted.mesh.face(f as usize))).collect();
-    let projector = SurfaceProjector::new(surface);
+    let count = extracted.mesh.face_count() as u32;
+    let splittable: Vec<u32> = (0..count).filter(|&f| at_border(extracted.mesh.face(f as usize), outline)).collect();
+    let projector = SurfaceProjector::new(&patch.surface);
     let input = PlanarizeInput {
         mesh: &extracted.mesh,
         reference: Some(&projector),
@@ -349,11 +366,13 @@ fn flatten(
         polylines: &strips,
         parameters: Some(&parameters),
         splittable: &splittable,
+        feature_lines: &patch.feature_lines,
     };
     let options = PlanarizeOptions {
         target: options.planarity,
         offsets: options.offsets,
         allowance: ALLOWANCE,
+        split_beyond: Some(SPLIT_BEYOND),
         ..PlanarizeOptions::default()
     };
     planarize(&input, &options, control)
@@ -409,110 +428,9 @@ fn distance_to_segment([a, b]: &[Point3<f64>; 2], p: &Point3<f64>) -> f64 {
     (p - (a + d * t)).norm()
 }
 
-/// A quad as a bilinear patch.
-struct BilinearPanel {
-    corners: [Vector3<f64>; 4],
-    center: Vector3<f64>,
-    /// Of a ball about the centre that holds the panel.
-    radius: f64,
-}
-
-impl BilinearPanel {
-    fn new(corners: [Vector3<f64>; 4]) -> Self {
-        let center = corners.iter().sum::<Vector3<f64>>() / 4.0;
-        let radius = corners.iter().map(|c| (c - center).norm()).fold(0.0, f64::max);
-        Self { corners, center, radius }
-    }
-
-    /// Directions of the two families at (s, t) in the unit square.
-    fn families(&self, [s, t]: [f64; 2]) -> [Vector3<f64>; 2] {
-        let [a, b, c, d] = self.corners;
-        [(b - a) * (1.0 - t) + (c - d) * t, (d - a) * (1.0 - s) + (c - b) * s]
-    }
-
-    /// Distance to the closest point, and the families there.
-    fn closest(&self, query: &Vector3<f64>) -> (f64, [Vector3<f64>; 2]) {
-        let [a, b, c, d] = self.corners;
-        let mut at = [0.5; 2];
-        let apart = |[s, t]: [f64; 2]| query - ((a * (1.0 - s) + b * s) * (1.0 - t) + (d * (1.0 - s) + c * s) * t);
-        for _ in 0..CLOSEST_ROUNDS {
-            let (rest, [u, _]) = (apart(at), self.families(at));
-            // One coordinate after the other, so that the square's sides need no care.
-            at[0] = (at[0] + rest.dot(&u) / u.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-            let (rest, [_, v]) = (apart(at), self.families(at));
-            at[1] = (at[1] + rest.dot(&v) / v.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        }
-        (apart(at).norm(), self.families(at))
-    }
-}
-
-/// Rounds of the search for the closest point on a panel.
-const CLOSEST_ROUNDS: usize = 12;
-
-/// Sum over the segments of the feature lines of length times angle to the better aligned family of edges, degrees, and the
-/// sum of the lengths.
-///
-/// The families are those of the nearest quad, taken as a bilinear patch, at the point closest to the segment's middle.
-///
-/// # Source
-/// Sketch2PQ, Sec. 4.1 (D_f). As printed it is a sum, and to the closest edge, which is often one of the crossing
-/// family.
-fn feature_angle(lines: &[Vec<Point3<f64>>], mesh: &PanelMesh) -> [f64; 2] {
-    let quads: Vec<BilinearPanel> = mesh
-        .faces()
-        .filter(|face| face.len() == 4)
-        .map(|face| BilinearPanel::new([0, 1, 2, 3].map(|k| mesh.vertices[face[k] as usize].coords)))
-        .collect();
-    let mut sum = [0.0; 2];
-    for ends in lines.iter().flat_map(|line| line.windows(2)) {
-        let (along, middle) = (ends[1] - ends[0], nalgebra::center(&ends[0], &ends[1]).coords);
-        let mut best: Option<(f64, [Vector3<f64>; 2])> = None;
-        for quad in &quads {
-            let least = (quad.center - middle).norm() - quad.radius;
-            if best.as_ref().is_none_or(|(distance, _)| least < *distance) {
-                let found = quad.closest(&middle);
-                if best.as_ref().is_none_or(|(distance, _)| found.0 < *distance) {
-                    best = Some(found);
-                }
-            }
-        }
-        let Some((_, families)) = best else { break };
-        let angle = |family: &Vector3<f64>| along.cross(family).norm().atan2(along.dot(family).abs()).to_degrees();
-        let length = along.norm();
-        sum[0] += length * families.iter().map(angle).fold(90.0, f64::min);
-        sum[1] += length;
-    }
-    sum
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// One quad with corners (0, 0), (2, 0), (2, 3), (0, 1): its sides across run straight up, those along fan out.
-    fn trapezoid() -> PanelMesh {
-        let vertices = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 1.0]].map(|[x, y]| Point3::new(x, y, 0.0)).to_vec();
-        PanelMesh { vertices, starts: vec![0, 4], indices: vec![0, 1, 2, 3] }
-    }
-
-    #[test]
-    fn feature_lines_are_held_against_the_edges_at_their_place() {
-        let line = |a: [f64; 2], b: [f64; 2]| vec![[a, b].map(|[x, y]| Point3::new(x, y, 0.4)).to_vec()];
-        let angle = |lines: &[Vec<Point3<f64>>]| {
-            let [sum, length] = feature_angle(lines, &trapezoid());
-            sum / length
-        };
-        // Halfway up the fan rises by one in two.
-        assert!(angle(&line([0.5, 0.75], [1.5, 1.25])) < 1e-6);
-        assert!((angle(&line([0.9, 1.0], [1.1, 1.0])) - 0.5f64.atan().to_degrees()).abs() < 1e-6);
-        // At the lower side it is level; beyond the panel the nearest point counts.
-        assert!(angle(&line([0.9, -0.5], [1.1, -0.5])) < 1e-6);
-        // Straight up is the other family everywhere; twenty degrees off are twenty.
-        let tilted = [1.0 + 0.1 * 20f64.to_radians().tan(), 1.1];
-        assert!(angle(&line([1.0, 0.9], [1.0, 1.1])) < 1e-6);
-        assert!((angle(&line([1.0, 1.0], tilted)) - 20.0).abs() < 0.5);
-        assert_eq!(feature_angle(&[], &trapezoid()), [0.0, 0.0]);
-    }
 
     #[test]
     fn a_border_is_covered_where_the_mesh_reaches_it() {

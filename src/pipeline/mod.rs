@@ -12,6 +12,7 @@ mod placement;
 mod planarize;
 mod report;
 mod session;
+mod singularities;
 mod surface;
 
 pub use curves::FeatureCurve;
@@ -21,4 +22,5 @@ pub use placement::Placement;
 pub use planarize::{PanelOptions, planarize_panels};
 pub use report::Report;
 pub use session::{MAX_THREADS, Progress, Session, SessionOptions, Times};
+pub use singularities::{FixedSingularity, SurfacePlace};
 pub use surface::{SurfaceDiagnostics, SurfaceOptions, SurfacePatch, SurfaceResult, sketch_to_surface};

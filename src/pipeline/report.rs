@@ -86,6 +86,9 @@ pub struct Report {
     /// Cells at the border that were split into triangles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub split: Option<usize>,
+    /// Panels inside that were split into triangles as a last resort.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split_inside: Option<usize>,
     /// Wall-clock milliseconds of each stage.
     pub time_ms: Times,
 }

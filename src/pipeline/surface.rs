@@ -51,7 +51,7 @@ pub struct SurfaceDiagnostics {
     pub sample_residual: f64,
     /// Share of the surface whose side facing the viewer is not drawn there.
     pub misfacing: f64,
-    /// Places of a grid where neighbouring normals point in opposite directions.
+    /// Places of a grid where the surface turns from front to back, seen along the view, and no contour is drawn.
     pub fold_overs: usize,
 }
 

@@ -1,10 +1,12 @@
 //! NURBS surfaces: evaluation, curvature, tessellation, and the refinement that makes them obey the sketch.
 
+mod bezier;
 mod border;
 mod closest;
 mod coons;
 mod corners;
 mod curvature;
+mod grid;
 mod knots;
 mod layer_map;
 mod nurbs;
@@ -17,11 +19,13 @@ mod tensor;
 mod tessellate;
 mod unfold;
 
+pub use bezier::BezierPatches;
 pub use border::{BorderCurves, LayerMaps};
 pub use closest::{SurfaceFoot, SurfaceProjector};
 pub use coons::coons_net;
 pub use corners::BorderLoop;
 pub use curvature::FundamentalForms;
+pub use grid::SurfaceGrid;
 pub use knots::{Basis, KnotVector, MAX_DEGREE};
 pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};

@@ -74,8 +74,8 @@ pub struct RefineReport {
     pub sample_residual: f64,
     /// Depth samples whose line of sight misses their layer.
     pub samples_missed: usize,
-    /// Places where neighbouring normals (1/39 of the domain apart) point in opposite directions, without the turns from front
-    /// to back beside contour strokes: folds and cusps that the sketch does not draw.
+    /// Places where the surface turns from front to back, or back again, and the sketch draws no contour: counted along 40
+    /// parameter lines in each direction, six pixels and more from the contour strokes, where both sides are clearly seen.
     pub folds: usize,
     /// Share of the surface whose side facing the viewer is not drawn there, by the regions of the sketch.
     pub misfacing: f64,
@@ -146,19 +146,31 @@ const FOOT_WINDOW: f64 = 0.12;
 const SAMPLE_STEEPEST: f64 = 0.2;
 /// Factor on the evenness in the first step; each later step divides it by 8.
 const FIRST_STIFFNESS: f64 = 64.0;
-/// Gauss-Newton steps that are kept for unfolding.
+/// Gauss-Newton steps that are kept for unfolding: as many as the factor on facing can grow.
 const UNFOLDING_ROUNDS: usize = 3;
-/// Shares of the way from the start that are tried where the whole way folds.
-const PARTS_OF_THE_WAY: [f64; 4] = [0.8, 0.6, 0.4, 0.2];
-/// Highest factor on the evenness of the parametrization.
-const STIFFEST: f64 = 512.0;
 /// Conjugate gradient steps for one Gauss-Newton step, and the share of the preconditioned residual that remains.
 const CG_STEPS: usize = 14;
 const CG_TOLERANCE: f64 = 0.1;
-/// Sine of the angle between S_u and S_v below which a sample has no reliable normal.
-const FOLD_SINE: f64 = 0.1;
+/// Samples whose (S_u x S_v).z / (|S_u| |S_v|) is nearer to 0 show neither side: they are seen edge-on, or a corner of the patch
+/// lies where the outline is smooth, so that S_u and S_v are nearly parallel and the sign is noise.
+const DECIDED: f64 = 0.05;
 /// A turn from front to back this near to a contour stroke, in map pixels, is the crease that the stroke draws.
 const CREASE_REACH: f64 = 1.5;
+/// Parts of the surface whose side facing the viewer is not drawn there: square of what their facing lacks.
+const FACING_WEIGHT: f64 = 1.0;
+/// Factor on it in each step that begins with folds after the rest has converged, and the highest.
+const FACING_GROWTH: f64 = 8.0;
+const HIGHEST_FACING: f64 = 512.0;
+/// The same for border samples beside a contour, where the sheet between the two may be too thin for the maps: the mean over the border
+/// samples, so that a turn there costs more than smoothness saves.
+const RIM_FACING_WEIGHT: f64 = 4.0;
+/// A contour this near to the border, in map pixels, bounds a sheet that ends at the border.
+const SLIVER_WIDTH: f64 = 1.25;
+/// A contour nearer than this, in map pixels, ends at the border.
+const SLIVER_END: f64 = 0.1;
+/// Facing that is asked for where one side alone is drawn: (S_u x S_v).z / (|S_u| |S_v|). Just enough that rounding and the
+/// samples' distance leave no turn between them; steep places are no mistake.
+const LEAST_FACING: f64 = 0.03;
 /// A relative decrease of the energy below this ends the iteration.
 const CONVERGED: f64 = 2e-2;
 /// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
@@ -167,10 +179,12 @@ const CORRECTION_RANGE: f64 = 2.0;
 /// Moves the control net of `start` until the surface obeys `targets`.
 ///
 /// Minimizes, by Gauss-Newton with footpoints and layers found anew at every step:
-/// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, distance of the
+/// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, the side that faces the
+/// viewer where the sketch draws one side alone, distance of the
 /// border to its strokes and corners, distance of the silhouette to the contour strokes, depth samples on their lines of
 /// sight, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
-/// Steps are accepted only if the energy falls and no new fold appears, so the result is never worse than the start.
+/// Steps are accepted only if the energy falls, and where folds remain the side that the sketch shows counts more and more:
+/// of all steps the last with the fewest folds is the result, so it is never worse than the start.
 ///
 /// The silhouette needs no equation for n . view = 0: it is found on the current surface, and moving the surface along
 /// the projected normal m moves its silhouette by m . dS to first order, since the apparent contour is an envelope.
@@ -255,8 +269,12 @@ struct Refiner<'a> {
     quadrature: [Vec<f64>; 2],
     /// Visible front, visible back, occluded front, occluded back.
     map_sides: [MapSide; 4],
+    /// For each map pixel 1 where only the front is drawn, -1 where only the back is, 0 where both are or a contour is near.
+    drawn_facing: Vec<f64>,
     strokes: [Polyline; 4],
     stroke_occluded: [Vec<bool>; 4],
+    /// For each stroke point the side that the surface shows at the border, 1 or -1, where a contour beside it tells, else 0.
+    stroke_facing: [Vec<f64>; 4],
     /// Contour strokes, each with the side of its normals (1 or -1) on which the surface lies.
     contours: Vec<(Polyline, f64)>,
     start: Vec<f64>,
@@ -268,6 +286,8 @@ struct Refiner<'a> {
     evenness: [[Banded; 2]; 2],
     /// Factor on evenness: high in the first steps, and where the parametrization would fold.
     stiffness: f64,
+    /// Factor on the weight of facing: high where folds remain.
+    facing: f64,
     /// Fairness plus evenness times stiffness, for x and y, and for z.
     regularity: [[Banded; 2]; 2],
     preconditioner: [FastDiagonal; 2],
@@ -285,7 +305,16 @@ struct Model {
     weights: Vec<[f64; 6]>,
     /// Map normal and weights on N . dS_u, N . dS_v.
     tangents: Vec<(Vector3<f64>, f64, f64)>,
+    turns: Vec<Turn>,
     rows: Vec<Row>,
+}
+
+/// A grid sample that shows a side that is not drawn there, or nearly so.
+struct Turn {
+    sample: usize,
+    /// Derivative of the residual by x_u, y_u, x_v, y_v.
+    slope: [f64; 4],
+    weight: f64,
 }
 
 /// One residual at a scattered parameter: direction . S(u, v) moves it.
@@ -388,6 +417,7 @@ impl<'a> Refiner<'a> {
             mass: banded(&mass),
             fairness: banded(&fairness),
             stiffness: 1.0,
+            facing: 1.0,
             regularity: Default::default(),
             evenness: evenness.each_ref().map(banded),
             preconditioner,
@@ -395,8 +425,10 @@ impl<'a> Refiner<'a> {
             grid,
             quadrature,
             map_sides,
+            drawn_facing: vec![],
             strokes,
             stroke_occluded,
+            stroke_facing: Default::default(),
             contours: vec![],
             start: planes_of(start),
         };
@@ -411,6 +443,8 @@ impl<'a> Refiner<'a> {
                 (line, side)
             })
             .collect();
+        refiner.drawn_facing = refiner.draw_facing();
+        refiner.stroke_facing = refiner.strokes.each_ref().map(|stroke| refiner.facing_along(stroke));
         let planes = refiner.planes(&refiner.start);
         refiner.shares = [0, 1, 2, 3].map(|side| Self::arc_shares(&planes, &refiner.side_samples(side)));
         Ok(refiner)
@@ -426,13 +460,13 @@ impl<'a> Refiner<'a> {
     fn run(&mut self, iterations: usize, control: &Control) -> Result<Refined, Error> {
         let mut net = self.start.clone();
         let mut model = self.linearize(&net);
-        let (first_energy, allowed) = (model.energy, model.folds);
+        let first_energy = model.energy;
         // Far from the goal, steps are large: parameter lines first move like a membrane.
         self.stiffen(FIRST_STIFFNESS);
         self.regularize(&net, &mut model);
         let mut unfolding = false;
-        // The best net without a new fold: large steps may fold for a moment, the result must not.
-        let mut unfolded = None;
+        // The net with the fewest folds, the latest of these: large steps may fold for a moment, the result must not.
+        let mut flattest = (model.folds, net.clone());
         let mut taken = 0;
         for round in 0..iterations {
             control.step("refine", round as f64 / iterations as f64)?;
@@ -455,8 +489,8 @@ impl<'a> Refiner<'a> {
                 converged = next.energy > (1.0 - CONVERGED) * model.energy;
                 (net, model) = (candidate, next);
             }
-            if model.folds <= allowed {
-                unfolded = Some(net.clone());
+            if model.folds <= flattest.0 {
+                flattest = (model.folds, net.clone());
             }
             if !unfolding && self.stiffness > 1.0 {
                 self.stiffen((self.stiffness / 8.0).max(1.0));
@@ -465,22 +499,23 @@ impl<'a> Refiner<'a> {
             }
             if converged || round + UNFOLDING_ROUNDS >= iterations {
                 unfolding = true;
-                if model.folds <= allowed {
+                if model.folds == 0 {
                     if converged {
                         break;
                     }
-                } else if self.stiffness < STIFFEST {
-                    self.stiffen(self.stiffness * 8.0);
-                    self.regularize(&net, &mut model);
+                } else if self.facing < HIGHEST_FACING {
+                    self.facing *= FACING_GROWTH;
+                    model = self.linearize(&net);
                 } else if converged {
                     break;
                 }
             }
         }
-        if model.folds > allowed {
-            net = unfolded.unwrap_or_else(|| self.part_of_the_way(&net, allowed));
+        if model.folds > flattest.0 {
+            net = flattest.1;
         }
-        if self.stiffness > 1.0 || model.folds > allowed {
+        if self.stiffness > 1.0 || self.facing > 1.0 || model.folds > flattest.0 {
+            self.facing = 1.0;
             self.stiffen(1.0);
             model = self.linearize(&net);
             if model.energy > first_energy {
@@ -491,15 +526,6 @@ impl<'a> Refiner<'a> {
         let surface = self.surface(&net);
         let report = self.report(&surface, &net, &model, first_energy, taken);
         Ok(Refined { surface, report })
-    }
-
-    /// The start, moved towards `net` as far as no new fold appears.
-    fn part_of_the_way(&self, net: &[f64], allowed: usize) -> Vec<f64> {
-        let mut parts = PARTS_OF_THE_WAY.iter().map(|share| {
-            let mixed = self.start.iter().zip(net).map(|(a, b)| a + share * (b - a));
-            mixed.collect::<Vec<f64>>()
-        });
-        parts.find(|mixed| self.linearize(mixed).folds <= allowed).unwrap_or_else(|| self.start.clone())
     }
 
     fn surface(&self, net: &[f64]) -> NurbsSurface {
@@ -515,6 +541,59 @@ impl<'a> Refiner<'a> {
             self.grid.forward(&net[c * n..(c + 1) * n], &mut planes);
             planes
         })
+    }
+
+    /// The side that the sketch draws at each map pixel, and around it.
+    fn draw_facing(&self) -> Vec<f64> {
+        let map = &self.targets.maps.visible;
+        (0..map.size * map.size)
+            .map(|pixel| {
+                let p = map.center(pixel);
+                let distance = |sides: [usize; 2]| {
+                    let pixels = sides.iter().filter_map(|&side| Some(self.map_sides[side].outside(p)?.1));
+                    pixels.fold(f64::INFINITY, f64::min)
+                };
+                let (front, back) = (distance([0, 2]), distance([1, 3]));
+                if self.beside_contour(p) || (front - back).abs() < CREASE_REACH || front.min(back).is_infinite() {
+                    0.0
+                } else {
+                    (back - front).signum()
+                }
+            })
+            .collect()
+    }
+
+    /// The border runs with its sheet on the left where that shows its front: a contour close by on the left bounds a front.
+    fn facing_along(&self, stroke: &Polyline) -> Vec<f64> {
+        let pixel = self.targets.maps.visible.pixel();
+        let points = &stroke.points;
+        let at = |i: usize| {
+            let (a, b, p) = (points[i.saturating_sub(1)], points[(i + 1).min(points.len() - 1)], points[i]);
+            let feet = self.contours.iter().filter_map(|(line, _)| line.nearest(p, [0.0, f64::INFINITY]));
+            let nearest = feet.min_by(|a, b| a.distance.total_cmp(&b.distance));
+            let beside = nearest.filter(|foot| (SLIVER_END..SLIVER_WIDTH).contains(&(foot.distance / pixel)));
+            beside.map_or(0.0, |foot| {
+                let (d, e) = ([0, 1].map(|c| b[c] - a[c]), [0, 1].map(|c| foot.position[c] - p[c]));
+                let (along, across) = (d[0] * e[0] + d[1] * e[1], d[0] * e[1] - d[1] * e[0]);
+                // Ahead or behind is only an end of the contour.
+                if across.abs() > along.abs() { across.signum() } else { 0.0 }
+            })
+        };
+        (0..points.len()).map(at).collect()
+    }
+
+    /// Whether a contour stroke is so near that the surface may turn here.
+    fn beside_contour(&self, p: [f64; 2]) -> bool {
+        let reach = CREASE_REACH * self.targets.maps.visible.pixel();
+        let feet = self.contours.iter().filter_map(|(line, _)| line.nearest(p, [0.0, f64::INFINITY]));
+        feet.map(|foot| foot.distance).any(|distance| distance < reach)
+    }
+
+    /// 1 or -1 where the sketch draws the front or the back alone, else 0.
+    fn facing_at(&self, p: [f64; 2]) -> f64 {
+        let map = &self.targets.maps.visible;
+        let [column, row] = map.to_pixels(p).map(|x| x.round().clamp(0.0, (map.size - 1) as f64) as usize);
+        self.drawn_facing[row * map.size + column]
     }
 
     /// Where the maps want a surface point: the tangent plane of the nearest layer that shows its side.
@@ -567,8 +646,9 @@ impl<'a> Refiner<'a> {
         let mut slopes: [GridPlanes; 3] =
             [0, 1, 2].map(|_| GridPlanes { value: vec![0.0; count], du: vec![0.0; count], dv: vec![0.0; count] });
         let (mut energy, mut depth_squared) = (0.0, 0.0);
-        let mut normals = Vec::with_capacity(count);
-        let border_layers = self.border_layers(&planes);
+        let mut facings = Vec::with_capacity(count);
+        let mut turns = vec![];
+        let (border_layers, border_facing) = self.border_layers(&planes);
 
         for a in 0..mu {
             for b in 0..mv {
@@ -579,10 +659,26 @@ impl<'a> Refiner<'a> {
                 let dv = Vector3::new(x.dv[k], y.dv[k], z.dv[k]);
                 let cross = du.cross(&dv);
                 let normal = cross / cross.norm().max(f64::MIN_POSITIVE);
-                // Where a smooth border has a corner of the patch, S_u and S_v are nearly parallel and the sign is noise.
-                let sine = cross.norm() / (du.norm() * dv.norm()).max(f64::MIN_POSITIVE);
-                normals.push(if sine > FOLD_SINE { normal } else { Vector3::zeros() });
-                match self.associate(p, normal.z, border_layers[k]) {
+                let area = (du.norm() * dv.norm()).max(f64::MIN_POSITIVE);
+                facings.push(cross.z / area);
+                let drawn = self.facing_at([p.x, p.y]);
+                let (asked, weight) = if border_facing[k] == 0.0 {
+                    (drawn, full * FACING_WEIGHT * self.facing)
+                } else {
+                    (border_facing[k], RIM_FACING_WEIGHT / (2 * (mu + mv)) as f64)
+                };
+                let lack = LEAST_FACING - asked * cross.z / area;
+                if asked != 0.0 && lack > 0.0 {
+                    energy += weight * lack * lack;
+                    let slope = [-dv.y, dv.x, du.y, -du.x].map(|s| s * asked / area);
+                    for (c, by_u, by_v) in [(0, slope[0], slope[2]), (1, slope[1], slope[3])] {
+                        slopes[c].du[k] += weight * lack * by_u;
+                        slopes[c].dv[k] += weight * lack * by_v;
+                    }
+                    turns.push(Turn { sample: k, slope, weight });
+                }
+                let facing = if drawn == 0.0 { normal.z } else { drawn };
+                match self.associate(p, facing, border_layers[k]) {
                     Association::Plane { normal: target, residual, confidence, outside } => {
                         let ratio = (residual / ROBUST_DEPTH).powi(2);
                         let area = full * confidence;
@@ -615,7 +711,7 @@ impl<'a> Refiner<'a> {
             }
         }
         energy += self.border_term(&planes, &mut weights, &mut slopes);
-        let folds = self.count_folds(&normals, &planes);
+        let folds = self.count_folds(&facings, &planes);
 
         let surface = self.surface_or_none(net);
         let mut rows = vec![];
@@ -634,7 +730,7 @@ impl<'a> Refiner<'a> {
             self.add_row_adjoint(row, row.weight * row.residual, &mut gradient);
         }
         let data = (energy, gradient);
-        let mut model = Model { energy, data, folds, depth_squared, gradient: vec![], weights, tangents, rows };
+        let mut model = Model { energy, data, folds, depth_squared, gradient: vec![], weights, tangents, turns, rows };
         self.regularize(net, &mut model);
         model
     }
@@ -703,9 +799,10 @@ impl<'a> Refiner<'a> {
         shares.iter().map(|s| s / sum.max(f64::MIN_POSITIVE)).collect()
     }
 
-    /// For border samples the layer on which the sketch draws them.
-    fn border_layers(&self, planes: &[GridPlanes; 3]) -> Vec<Option<bool>> {
+    /// For border samples the layer on which the sketch draws them, and the side that they show, 0 where it is not known.
+    fn border_layers(&self, planes: &[GridPlanes; 3]) -> (Vec<Option<bool>>, Vec<f64>) {
         let mut layers = vec![None; planes[0].value.len()];
+        let mut facing = vec![0.0; layers.len()];
         for side in 0..4 {
             let samples = self.side_samples(side);
             let shares = Self::arc_shares(planes, &samples);
@@ -714,9 +811,10 @@ impl<'a> Refiner<'a> {
             for (&k, share) in samples.iter().zip(shares) {
                 let at = stroke.lengths.partition_point(|&l| l < share * stroke.length()).min(flags.len() - 1);
                 layers[k] = Some(flags[at]);
+                facing[k] = self.stroke_facing[side][at.min(self.stroke_facing[side].len() - 1)];
             }
         }
-        layers
+        (layers, facing)
     }
 
     /// Border samples project onto the line of their stroke, corners onto the corners.
@@ -920,32 +1018,28 @@ impl<'a> Refiner<'a> {
         Some([u, v])
     }
 
-    /// Neighbouring samples whose normals point in opposite directions, but for the creases that the sketch draws: the
-    /// turn from front to back beside a contour stroke may be sharper than the grid.
-    fn count_folds(&self, normals: &[Vector3<f64>], planes: &[GridPlanes; 3]) -> usize {
+    /// Turns from front to back along the grid lines, without those beside a contour stroke.
+    ///
+    /// - `facings`: (S_u x S_v).z / (|S_u| |S_v|) of each sample.
+    fn count_folds(&self, facings: &[f64], planes: &[GridPlanes; 3]) -> usize {
         let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
-        let reach = CREASE_REACH * self.targets.maps.visible.pixel();
-        let drawn = |k: usize| {
-            let p = [planes[0].value[k], planes[1].value[k]];
-            let near = |(line, _): &(Polyline, f64)| {
-                line.nearest(p, [0.0, f64::INFINITY]).is_some_and(|foot| foot.distance < reach)
-            };
-            self.contours.iter().any(near)
-        };
-        let folded = |k: usize, q: usize| {
-            let (a, b) = (normals[k], normals[q]);
-            a.dot(&b) < 0.0 && !(a.z * b.z < 0.0 && (drawn(k) || drawn(q)))
-        };
-        let mut folds = 0;
-        for a in 0..mu {
-            for b in 0..mv {
-                let k = a * mv + b;
-                let right = b + 1 < mv && folded(k, k + 1);
-                let below = a + 1 < mu && folded(k, k + mv);
-                folds += usize::from(right) + usize::from(below);
+        let beside: Vec<bool> =
+            (0..facings.len()).map(|k| self.beside_contour([planes[0].value[k], planes[1].value[k]])).collect();
+        let turns = |line: &mut dyn Iterator<Item = usize>| {
+            let (mut last, mut drawn, mut count) = (0.0, false, 0);
+            for k in line {
+                drawn |= beside[k];
+                if facings[k].abs() < DECIDED {
+                    continue;
+                }
+                count += usize::from(last * facings[k] < 0.0 && !drawn);
+                (last, drawn) = (facings[k], beside[k]);
             }
-        }
-        folds
+            count
+        };
+        let rows: usize = (0..mu).map(|a| turns(&mut (a * mv..(a + 1) * mv))).sum();
+        let columns: usize = (0..mv).map(|b| turns(&mut (b..mu * mv).step_by(mv))).sum();
+        rows + columns
     }
 
     fn row_value(&self, row: &Row, net: &[f64]) -> f64 {
@@ -987,6 +1081,11 @@ impl<'a> Refiner<'a> {
             self.grid.forward(&x[c * n..(c + 1) * n], &mut work.planes[c]);
         }
         let [px, py, pz] = &mut work.planes;
+        work.turned.clear();
+        work.turned.extend(model.turns.iter().map(|turn| {
+            let (k, [xu, yu, xv, yv]) = (turn.sample, turn.slope);
+            turn.weight * (xu * px.du[k] + yu * py.du[k] + xv * px.dv[k] + yv * py.dv[k])
+        }));
         for (k, w) in model.weights.iter().enumerate() {
             let (x, y, z) = (px.value[k], py.value[k], pz.value[k]);
             px.value[k] = w[0] * x + w[1] * y + w[2] * z;
@@ -997,6 +1096,13 @@ impl<'a> Refiner<'a> {
             let dv = wv * (normal.x * px.dv[k] + normal.y * py.dv[k] + normal.z * pz.dv[k]);
             (px.du[k], py.du[k], pz.du[k]) = (normal.x * du, normal.y * du, normal.z * du);
             (px.dv[k], py.dv[k], pz.dv[k]) = (normal.x * dv, normal.y * dv, normal.z * dv);
+        }
+        for (turn, value) in model.turns.iter().zip(&work.turned) {
+            let (k, [xu, yu, xv, yv]) = (turn.sample, turn.slope.map(|slope| slope * value));
+            px.du[k] += xu;
+            py.du[k] += yu;
+            px.dv[k] += xv;
+            py.dv[k] += yv;
         }
         for c in 0..3 {
             self.grid.add_adjoint(&work.planes[c], &mut out[c * n..(c + 1) * n]);
@@ -1014,7 +1120,7 @@ impl<'a> Refiner<'a> {
     fn solve(&self, model: &Model) -> Vec<f64> {
         let size = model.gradient.len();
         let n = size / 3;
-        let mut work = Work { planes: Default::default(), scratch: vec![0.0; n] };
+        let mut work = Work { planes: Default::default(), turned: vec![], scratch: vec![0.0; n] };
         let mut step = vec![0.0; size];
         let mut residual: Vec<f64> = model.gradient.iter().map(|g| -g).collect();
         let precondition = |residual: &[f64], scratch: &mut [f64]| {
@@ -1149,6 +1255,7 @@ impl<'a> Refiner<'a> {
 
 struct Work {
     planes: [GridPlanes; 3],
+    turned: Vec<f64>,
     scratch: Vec<f64>,
 }
 
@@ -1284,6 +1391,25 @@ mod tests {
             }
             assert!(report.folds == 0 && report.misfacing < 0.005, "{report:?}");
         }
+    }
+
+    #[test]
+    fn a_start_that_folds_over_is_unfolded() {
+        let scene = synthetic::scene(synthetic::dome());
+        let targets = targets(&scene);
+        // Parameter lines that run back in the middle of the patch, by more than their distance.
+        let net = scene.truth.control_points().iter().map(|p| {
+            let back = (-(p.x * p.x + p.y * p.y) / 0.5).exp();
+            p + Vector3::new(-2.5 * p.x * back, 0.0, 0.0)
+        });
+        let start = NurbsSurface::uniform(3, [30, 30], net.collect()).unwrap();
+        let unrefined = RefineOptions { iterations: 0, ..RefineOptions::default() };
+        let before = refine(&start, &targets, &unrefined, &Control::default()).unwrap().report;
+        let refined = run(&start, &targets);
+        let after = refined.report;
+        assert!(before.folds > 0 && before.misfacing > 0.005, "{before:?}");
+        assert!(after.folds == 0 && after.misfacing == 0.0 && after.border_px[0] < 0.1, "{after:?}");
+        assert!(deviation(&refined.surface, &scene.truth)[0] < 0.01);
     }
 
     #[test]

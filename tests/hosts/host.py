@@ -142,6 +142,7 @@ def own_surface(session):
         assert len(field.singularities[0]) == 0
     curved = session.mesh(field, faces=100)
     assert curved.measures["planarity_max"] < 1e-6
+    fixed_singularities(session, surface, height)
     raises(s.ArgumentError, session.field, surface, curves=[[(1, 0, 0)]])
     raises(s.ArgumentError, session.field, surface, curves=[[(1, 0, 0), (1, 0, np.nan)]])
     raises(s.ArgumentError, session.field, surface, curves=[[(50, 0, 0), (60, 0, 0)]])
@@ -151,6 +152,26 @@ def own_surface(session):
     raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1], [0, 1]), net)
     raises(s.GeometryError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net * np.nan)
     raises(s.ArgumentError, s.Surface.from_nurbs, (2, 1), ([0, 0, 1, 1], [0, 1]), net[0])
+
+
+def fixed_singularities(session, surface, height):
+    """The field has singularities where the host wants them, and panels meet there in threes and fives."""
+    places = [(np.cos(0.4), np.sin(0.4), 0.3 * height), (np.cos(1.1), np.sin(1.1), 0.7 * height)]
+    for given in ([(places[0], 1), (places[1], -1)], [(places[1], -1)], []):
+        field = session.field(surface, singularities=given)
+        vertices, indices = field.singularities
+        found = [tuple(row) for row in field.vertices[vertices]]
+        assert sorted(indices) == sorted(index for _, index in given)
+        for place, index in given:
+            distances = [np.linalg.norm(np.subtract(place, p)) for p, i in zip(found, indices) if i == index]
+            assert min(distances) < 0.05 * height
+    parameters = session.field(surface, singularities=[((0.3, 0.4), 1, 0)], align_border=["u_min"])
+    assert list(parameters.singularities[1]) == [1]
+    refused = raises(s.ArgumentError, session.field, surface, singularities=[((0.3, 0.4), 1)], align_border=True)
+    assert "1 quarter turns" in refused.message and "room for 0" in refused.message
+    for bad in ([((50, 0, 0), 1)], [((0.3, 0.4), 2)], [((0.3, 0.4), 1, 1)], [((0.3,), 1)], [((0.3, 7), 1)], [1]):
+        raises(s.ArgumentError, session.field, surface, singularities=bad)
+    raises(s.ArgumentError, session.field, surface, singularities=[((0.3, 0.4), 1), ((0.3, 0.4), -1)])
 
 
 def own_panels(session):
