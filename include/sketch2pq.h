@@ -23,7 +23,8 @@
  * Enumerations arrive as uint32_t and are checked.
  *
  * Threads
- *   One thread at a time for each handle, any thread; different handles are independent. s2pq_cancel stops a session's call from any thread.
+ *   One thread at a time for each handle, any thread; different handles are independent. s2pq_cancel stops a session's call from any thread,
+ *   and on a session made with live = 1 so does a newer sketch_to_surface: the older call answers S2PQ_STATUS_CANCELLED.
  *   Progress callbacks run on the thread that called. They must not throw or long-jump.
  *
  * Frames and units
@@ -209,7 +210,10 @@ typedef struct S2pqMesh S2pqMesh;
 // Loaded networks, threads, progress and cancel. Cheap to keep; made by s2pq_session_new.
 //
 // One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at
-// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
+// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time, and on a live session
+// sketch_to_surface: there the older call soon answers S2PQ_STATUS_CANCELLED, as do those that wait when yet a newer one comes, and the
+// newest waits for the session and runs. A handle that the older call reads or writes must not be freed or changed before it has
+// answered: give each call a sketch of its own.
 typedef struct S2pqSession S2pqSession;
 
 // Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new or s2pq_sketch_from_json.
@@ -230,8 +234,11 @@ typedef struct S2pqSessionOptions {
   uint32_t backend;
   // Threads for the stages; 0: as many as the machine has cores, the default. At most 256.
   uint32_t threads;
-  // Zero.
-  uint32_t reserved;
+  // 1 for a sketch that is drawn while the host looks on, else 0, the default. Then sketch_to_surface begins with the last surface where
+  // the outline, its corners and contours moved by eight pixels of 256 at most, and a newer sketch_to_surface stops the session's
+  // older call. The price: a surface depends on what was drawn before, within what the strokes leave open; with 0 the same sketch gives
+  // the same bytes.
+  uint32_t live;
   // File or folder of the ONNX Runtime, UTF-8, absolute; NULL: search for one. Lent for the call.
   const char *runtime_path;
   // Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent
@@ -307,6 +314,10 @@ typedef struct S2pqSurfaceDiagnostics {
   double sample_residual;
   // Share of the patch whose side facing the viewer is not drawn there, in [0, 1].
   double misfacing;
+  // 1 if the surface began with that of the sketch before, in a live session; else 0.
+  uint32_t warm_start;
+  // Zero.
+  uint32_t reserved;
 } S2pqSurfaceDiagnostics;
 
 // Singularities that a field shall have, lent to sketch_to_cdf and surface_to_cdf by their options. Set struct_size before the call, and
@@ -658,6 +669,7 @@ S2pqStatus s2pq_surface_options_init(struct S2pqSurfaceOptions *options, size_t 
 // - `options`: NULL for the defaults.
 // - `surface`: takes the new surface.
 // - S2PQ_STATUS_INVALID_SKETCH: the message names the place on the canvas and what to draw there.
+// - S2PQ_STATUS_CANCELLED: s2pq_cancel was called, or a newer sketch came to a live session.
 //
 // Must be valid:
 // `options` is NULL or valid as its `struct_size` says; `surface` is valid for writing.
@@ -709,6 +721,37 @@ S2pqStatus s2pq_surface_evaluate(const struct S2pqSurface *surface,
                                  size_t count,
                                  double *xyz,
                                  double *normals);
+
+// A patch as bicubic Bezier patches, one for each span of its knots, exactly. Lent until the surface is freed.
+//
+// - `xyz`: 16 points for each of count_u * count_v pieces, pieces and points with v running fastest: point (a, b) of piece (i, j) begins
+//   at `3 * (16 * (i * count_v + j) + 4 * a + b)`. Degrees 1 and 2 are raised to 3.
+// - S2PQ_STATUS_INVALID_GEOMETRY: the patch is rational, or of a degree above 3, which no bicubic patches equal: use s2pq_surface_grid.
+//
+// Must be valid:
+// `xyz`, `count_u` and `count_v` are valid for writing.
+S2pqStatus s2pq_surface_bezier(const struct S2pqSurface *surface,
+                               size_t patch,
+                               const double **xyz,
+                               size_t *count_u,
+                               size_t *count_v);
+
+// A patch as a grid of points, normals and quads, for drawing: any degree, rational or not. The quads are not planar.
+//
+// - `cells_u`, `cells_v`: number of equal cells of the parameter domain, at least 1 each, at most 2^24 vertices.
+// - `xyz`: takes (cells_u + 1) * (cells_v + 1) times x, y, z, world frame, v running fastest.
+// - `normals`: takes as many unit normals S_u x S_v, zero where there is none; NULL if not wanted.
+// - `quads`: takes cells_u * cells_v times four vertex indices, counter-clockwise seen from the side of the normals; NULL if not wanted.
+//
+// Must be valid:
+// `xyz`, `normals` and `quads`, unless NULL, are valid for writing as many values.
+S2pqStatus s2pq_surface_grid(const struct S2pqSurface *surface,
+                             size_t patch,
+                             size_t cells_u,
+                             size_t cells_v,
+                             double *xyz,
+                             double *normals,
+                             uint32_t *quads);
 
 // How well a patch obeys the sketch.
 //

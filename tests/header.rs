@@ -32,7 +32,8 @@ const MANUAL: &str = r"/* sketch2pq: an architect's sketch in, a NURBS surface a
  * Enumerations arrive as uint32_t and are checked.
  *
  * Threads
- *   One thread at a time for each handle, any thread; different handles are independent. s2pq_cancel stops a session's call from any thread.
+ *   One thread at a time for each handle, any thread; different handles are independent. s2pq_cancel stops a session's call from any thread,
+ *   and on a session made with live = 1 so does a newer sketch_to_surface: the older call answers S2PQ_STATUS_CANCELLED.
  *   Progress callbacks run on the thread that called. They must not throw or long-jump.
  *
  * Frames and units

@@ -6,11 +6,12 @@ use sketch2pq::Error;
 use sketch2pq::infer::BackendChoice;
 use sketch2pq::mesh::{BorderMode, border_vertices};
 use sketch2pq::pipeline::{
-    FeatureCurve, FieldOptions, FixedSingularity, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfacePlace,
-    SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
+    FeatureCurve, FieldOptions, FixedSingularity, MeshOptions, Session, SessionOptions, SharedSession, SurfaceOptions,
+    SurfacePlace, SurfaceResult, extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
 use sketch2pq::sketch::{DepthSample, Layer, Sketch, Stroke, StrokeKind, View};
 use sketch2pq::surface::{KnotVector, NurbsSurface, SurfaceProjector};
+use std::sync::{Arc, mpsc};
 
 fn session() -> Session {
     let options = SessionOptions { backend: BackendChoice::Embedded, threads: 1, ..SessionOptions::default() };
@@ -379,4 +380,84 @@ fn options_out_of_range_name_themselves() {
         let result = extract_pq_mesh(&mut session, &field, &options);
         assert!(matches!(result, Err(Error::Argument { name: "faces" | "edge_length" | "planarity", .. })));
     }
+}
+
+fn live_session() -> Session {
+    let options =
+        SessionOptions { backend: BackendChoice::Embedded, threads: 1, live: true, ..SessionOptions::default() };
+    Session::new(&options).unwrap()
+}
+
+/// Largest distance from samples of one surface to the other.
+fn deviation(surface: &NurbsSurface, other: &NurbsSurface) -> f64 {
+    let projector = SurfaceProjector::new(other);
+    let places = (0..400).map(|k| [f64::from(k / 20) / 19.0, f64::from(k % 20) / 19.0]);
+    let distances = places.map(|[s, t]| {
+        let [u, v] = surface.at_fraction(s, t);
+        projector.closest(&surface.point(u, v)).distance
+    });
+    distances.fold(0.0, f64::max)
+}
+
+#[test]
+fn a_live_session_begins_with_the_last_surface_where_little_changed() {
+    let (mut live, mut cold) = (live_session(), session());
+    let first = surface(&mut live, &sheet(1.0, [0.0, 0.0]));
+    assert!(!first.patches[0].diagnostics.warm_start);
+    let mut moved = sheet(1.0, [0.0, 0.0]);
+    for p in moved.strokes[0].points[1..4].iter_mut() {
+        p[1] -= 3.0;
+    }
+    let warm = surface(&mut live, &moved);
+    let diagnostics = warm.patches[0].diagnostics;
+    assert!(diagnostics.warm_start && diagnostics.reprojection_mean_px < 0.5 && diagnostics.fold_overs == 0);
+    // The sheet is some 250 wide; what the strokes leave open may differ a little.
+    let anew = surface(&mut cold, &moved);
+    assert!(!anew.patches[0].diagnostics.warm_start);
+    let distance = deviation(&warm.patches[0].surface, &anew.patches[0].surface);
+    assert!(distance < 8.0, "{distance}");
+    // A stroke that moved far, another view, and another number of outlines begin anew.
+    for p in moved.strokes[0].points[1..4].iter_mut() {
+        p[1] -= 30.0;
+    }
+    assert!(!surface(&mut live, &moved).patches[0].diagnostics.warm_start);
+    moved.view = View::from_angles(30.0, 50.0, true).unwrap();
+    assert!(!surface(&mut live, &moved).patches[0].diagnostics.warm_start);
+    moved.strokes.extend(sheet(0.5, [300.0, 0.0]).strokes);
+    let two = surface(&mut live, &moved);
+    assert!(two.patches.len() == 2 && two.patches.iter().all(|patch| !patch.diagnostics.warm_start));
+}
+
+#[test]
+fn a_newer_sketch_stops_older_work_on_a_live_session() {
+    let session = Arc::new(SharedSession::new(live_session()));
+    let (started, has_started) = mpsc::channel();
+    let (go_on, may_go_on) = mpsc::channel::<()>();
+    session.get().unwrap().set_progress(Some(Box::new(move |_, _| {
+        // The first step of the first call waits until the newer call has come.
+        if started.send(()).is_ok() {
+            let _ = may_go_on.recv();
+        }
+    })));
+    let draw = |session: &Arc<SharedSession>| {
+        let session = Arc::clone(session);
+        std::thread::spawn(move || {
+            let mut session = session.get_for_newest()?;
+            sketch_to_surface(&mut session, &sheet(1.0, [0.0, 0.0]), &SurfaceOptions::default())
+        })
+    };
+    let older = draw(&session);
+    has_started.recv().unwrap();
+    assert!(matches!(session.get().map(|_| ()), Err(Error::Argument { name: "S2pqSession", .. })));
+    let newer = draw(&session);
+    // The newer call does nothing before it waits but say that it has come.
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    drop(go_on);
+    drop(has_started);
+    assert_eq!(older.join().unwrap().unwrap_err(), Error::Cancelled);
+    assert!(newer.join().unwrap().is_ok());
+    // Nothing of the cancel is left.
+    assert!(
+        sketch_to_surface(&mut session.get().unwrap(), &sheet(1.0, [0.0, 0.0]), &SurfaceOptions::default()).is_ok()
+    );
 }

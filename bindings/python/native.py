@@ -26,7 +26,7 @@ class SessionOptions(c.Structure):
         ("struct_size", _u32),
         ("backend", _u32),
         ("threads", _u32),
-        ("reserved", _u32),
+        ("live", _u32),
         ("runtime_path", _text),
         ("models_folder", _text),
     ]
@@ -67,6 +67,8 @@ class SurfaceDiagnostics(c.Structure):
         ("reprojection_max_px", _f64),
         ("sample_residual", _f64),
         ("misfacing", _f64),
+        ("warm_start", _u32),
+        ("reserved", _u32),
     ]
 
 
@@ -192,7 +194,7 @@ LAYOUT = {
     SessionOptions: (32, [0, 4, 8, 12, 16, 24]),
     SurfaceOptions: (24, [0, 4, 8, 16]),
     Nurbs: (80, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 72]),
-    SurfaceDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
+    SurfaceDiagnostics: (48, [0, 4, 8, 16, 24, 32, 40, 44]),
     Singularities: (48, [0, 4, 8, 16, 24, 32, 40]),
     FieldOptions: (32, [0, 4, 8, 12, 16, 24]),
     Curves: (40, [0, 4, 8, 16, 24, 32]),
@@ -237,6 +239,8 @@ SIGNATURES = {
     "s2pq_surface_patch_count": (_u32, [_handle, _out(_size)]),
     "s2pq_surface_nurbs": (_u32, [_handle, _size, _out(Nurbs)]),
     "s2pq_surface_evaluate": (_u32, [_handle, _size, _f64s, _size, _f64s, _f64s]),
+    "s2pq_surface_bezier": (_u32, [_handle, _size, _out(_f64s), _out(_size), _out(_size)]),
+    "s2pq_surface_grid": (_u32, [_handle, _size, _size, _size, _f64s, _f64s, _u32s]),
     "s2pq_surface_diagnostics": (_u32, [_handle, _size, _out(SurfaceDiagnostics)]),
     "s2pq_surface_unused_strokes": (_u32, [_handle, _out(_u32s), _out(_size)]),
     "s2pq_surface_report_json": (_u32, [_handle, _out(_text), _out(_size)]),

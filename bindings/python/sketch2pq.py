@@ -325,6 +325,30 @@ class Patch:
         )
         return points, normals
 
+    def bezier(self):
+        """(pieces_u, pieces_v, 4, 4, 3): control points of the bicubic Bezier patches that the patch consists of.
+
+        GeometryError for a rational patch and for degrees above 3, which no bicubic equals.
+        """
+        points = ctypes.POINTER(ctypes.c_double)()
+        counts = ctypes.c_size_t(), ctypes.c_size_t()
+        out = [ctypes.byref(value) for value in (points, *counts)]
+        _check(library().s2pq_surface_bezier(self._surface._pointer, self._index, *out))
+        u, v = (count.value for count in counts)
+        return self._surface._view(points, 16 * u * v, 3).reshape(u, v, 4, 4, 3)
+
+    def grid(self, cells_u, cells_v):
+        """Points (V, 3), unit normals (V, 3) and quads (cells_u * cells_v, 4) of an even grid of the parameters, for drawing."""
+        vertices, cells = (cells_u + 1) * (cells_v + 1), cells_u * cells_v
+        if min(cells_u, cells_v) < 1 or vertices > 1 << 24:
+            raise ArgumentError(native.INVALID_ARGUMENT, f"{cells_u} x {cells_v} cells, expected 1 and more, 2^24 vertices at most")
+        points, normals = np.empty((vertices, 3)), np.empty((vertices, 3))
+        quads = np.empty((cells, 4), dtype=np.uint32)
+        out = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (points, normals)]
+        out.append(quads.ctypes.data_as(ctypes.POINTER(ctypes.c_uint32)))
+        _check(library().s2pq_surface_grid(self._surface._pointer, self._index, cells_u, cells_v, *out))
+        return points, normals, quads
+
     @property
     def diagnostics(self):
         """How well the patch obeys the sketch."""
@@ -503,12 +527,15 @@ class Session(_Handle):
 
     _free = "s2pq_session_free"
 
-    def __init__(self, backend="auto", runtime_path=None, models_folder=None, threads=None, progress=None):
+    def __init__(self, backend="auto", runtime_path=None, models_folder=None, threads=None, progress=None, live=False):
+        """`live`: surface() begins with the last sketch's where little changed, and stops the session's older call on another thread,
+        which raises Cancelled; the result then depends on what was drawn before."""
         options = _options(
             native.SessionOptions,
             "s2pq_session_options_init",
             backend=_number(BACKENDS, backend, "backend"),
             threads=threads,
+            live=int(live),
             runtime_path=str(runtime_path).encode() if runtime_path else None,
             models_folder=str(models_folder).encode() if models_folder else None,
         )

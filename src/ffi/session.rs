@@ -3,13 +3,12 @@
 use super::guard::guard;
 use super::handle::{Handle, check, free, get, lend};
 use super::options::{Sized32, read, write};
-use super::{S2pqStatus, choice, lent_text, output, text};
-use crate::control::Control;
+use super::{S2pqStatus, choice, flag, lent_text, output, text};
 use crate::error::Error;
 use crate::infer::BackendChoice;
-use crate::pipeline::{MAX_THREADS, Session, SessionOptions};
+use crate::pipeline::{MAX_THREADS, Session, SessionOptions, SharedSession};
 use std::ffi::{CString, c_char, c_void};
-use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::sync::MutexGuard;
 
 /// Which backend runs the networks; passed as uint32_t.
 #[derive(Clone, Copy)]
@@ -33,8 +32,11 @@ pub struct S2pqSessionOptions {
     pub backend: u32,
     /// Threads for the stages; 0: as many as the machine has cores, the default. At most 256.
     pub threads: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// 1 for a sketch that is drawn while the host looks on, else 0, the default. Then sketch_to_surface begins with the last surface where
+    /// the outline, its corners and contours moved by eight pixels of 256 at most, and a newer sketch_to_surface stops the session's
+    /// older call. The price: a surface depends on what was drawn before, within what the strokes leave open; with 0 the same sketch gives
+    /// the same bytes.
+    pub live: u32,
     /// File or folder of the ONNX Runtime, UTF-8, absolute; NULL: search for one. Lent for the call.
     pub runtime_path: *const c_char,
     /// Folder with manifest.json and models to use instead of the built-in ones, UTF-8; NULL: the built-in ones. Lent
@@ -49,7 +51,7 @@ unsafe impl Sized32 for S2pqSessionOptions {
         struct_size: 0,
         backend: 0,
         threads: 0,
-        reserved: 0,
+        live: 0,
         runtime_path: std::ptr::null(),
         models_folder: std::ptr::null(),
     };
@@ -64,10 +66,12 @@ pub type S2pqProgress = Option<unsafe extern "C" fn(user: *mut c_void, stage: *c
 /// Loaded networks, threads, progress and cancel. Cheap to keep; made by s2pq_session_new.
 ///
 /// One call at a time: a call that finds the session at work on another thread answers S2PQ_STATUS_INVALID_ARGUMENT at
-/// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time.
+/// once. Only s2pq_cancel and s2pq_cancel_reset may be called from any thread at any time, and on a live session
+/// sketch_to_surface: there the older call soon answers S2PQ_STATUS_CANCELLED, as do those that wait when yet a newer one comes, and the
+/// newest waits for the session and runs. A handle that the older call reads or writes must not be freed or changed before it has
+/// answered: give each call a sketch of its own.
 pub struct S2pqSession {
-    session: Mutex<Session>,
-    control: Control,
+    session: SharedSession,
     backend: CString,
 }
 
@@ -78,15 +82,12 @@ impl Handle for S2pqSession {
 impl S2pqSession {
     /// The session, unless another call is using it.
     pub(super) fn lock(&self) -> Result<MutexGuard<'_, Session>, Error> {
-        match self.session.try_lock() {
-            Ok(session) => Ok(session),
-            // A panic left nothing half-done that a later call reads: results are moved out whole.
-            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
-            Err(TryLockError::WouldBlock) => {
-                let expected = "one call at a time, and none from within a progress callback";
-                Err(Error::Argument { name: "S2pqSession", value: "busy with another call".into(), expected })
-            }
-        }
+        self.session.get()
+    }
+
+    /// The session for a sketch that replaces those before it, see [`SharedSession::get_for_newest`].
+    pub(super) fn lock_for_newest(&self) -> Result<MutexGuard<'_, Session>, Error> {
+        self.session.get_for_newest()
     }
 }
 
@@ -149,11 +150,11 @@ pub unsafe extern "C" fn s2pq_session_new(
             runtime_path: runtime.map(Into::into),
             models_folder: models.map(Into::into),
             threads: options.threads as usize,
+            live: flag("live", options.live)?,
         };
         let session = Session::new(&options)?;
         let backend = lent_text(session.backend().to_string());
-        let control = session.control();
-        place.set(lend(S2pqSession { session: Mutex::new(session), control, backend }));
+        place.set(lend(S2pqSession { session: SharedSession::new(session), backend }));
         Ok(())
     })
 }
@@ -209,7 +210,7 @@ pub unsafe extern "C" fn s2pq_cancel(session: *const S2pqSession) -> S2pqStatus 
     guard(|| {
         check(session)?;
         // SAFETY: live, and not freed during the call, as the header asks; only the flag is touched.
-        unsafe { &(*session).control }.cancel();
+        unsafe { &(*session).session }.control().cancel();
         Ok(())
     })
 }
@@ -223,7 +224,7 @@ pub unsafe extern "C" fn s2pq_cancel_reset(session: *const S2pqSession) -> S2pqS
     guard(|| {
         check(session)?;
         // SAFETY: as in `s2pq_cancel`.
-        unsafe { &(*session).control }.reset();
+        unsafe { &(*session).session }.control().reset();
         Ok(())
     })
 }

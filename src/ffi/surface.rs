@@ -8,9 +8,10 @@ use super::sketch::S2pqSketch;
 use super::{S2pqStatus, lent_text, output, slice};
 use crate::error::Error;
 use crate::pipeline::{self, SurfaceOptions, SurfacePatch, SurfaceResult};
-use crate::surface::{KnotVector, NurbsSurface, RefineOptions};
+use crate::surface::{BezierPatches, KnotVector, NurbsSurface, RefineOptions, SurfaceGrid};
 use nalgebra::Point3;
 use std::ffi::{CString, c_char};
+use std::sync::OnceLock;
 
 /// Options of sketch_to_surface. Fill them by s2pq_surface_options_init, then change what you need.
 #[derive(Clone, Copy)]
@@ -105,9 +106,13 @@ pub struct S2pqSurfaceDiagnostics {
     pub sample_residual: f64,
     /// Share of the patch whose side facing the viewer is not drawn there, in [0, 1].
     pub misfacing: f64,
+    /// 1 if the surface began with that of the sketch before, in a live session; else 0.
+    pub warm_start: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
-// SAFETY: repr(C), size first, two u32 and four f64: no padding, all bits valid.
+// SAFETY: repr(C), size first, two u32, four f64 and two u32: no padding, all bits valid.
 unsafe impl Sized32 for S2pqSurfaceDiagnostics {
     const NAME: &'static str = "S2pqSurfaceDiagnostics";
     const DEFAULT: Self = Self {
@@ -117,6 +122,8 @@ unsafe impl Sized32 for S2pqSurfaceDiagnostics {
         reprojection_max_px: 0.0,
         sample_residual: 0.0,
         misfacing: 0.0,
+        warm_start: 0,
+        reserved: 0,
     };
 }
 
@@ -136,6 +143,18 @@ impl Handle for S2pqSurface {
 /// The control points of one patch as the ABI lends them; never moved while the handle lives.
 struct NurbsView {
     control_points: Vec<f64>,
+    /// Made when first asked for.
+    bezier: OnceLock<BezierView>,
+}
+
+/// The Bezier patches of one patch as the ABI lends them.
+struct BezierView {
+    counts: [usize; 2],
+    control_points: Vec<f64>,
+}
+
+fn coordinates(points: &[Point3<f64>]) -> Vec<f64> {
+    points.iter().flat_map(|p| [p.x, p.y, p.z]).collect()
 }
 
 impl S2pqSurface {
@@ -158,7 +177,7 @@ impl S2pqSurface {
 
 impl NurbsView {
     fn new(surface: &NurbsSurface) -> Self {
-        Self { control_points: surface.control_points().iter().flat_map(|p| [p.x, p.y, p.z]).collect() }
+        Self { control_points: coordinates(surface.control_points()), bezier: OnceLock::new() }
     }
 }
 
@@ -183,6 +202,7 @@ pub unsafe extern "C" fn s2pq_surface_options_init(options: *mut S2pqSurfaceOpti
 /// - `options`: NULL for the defaults.
 /// - `surface`: takes the new surface.
 /// - S2PQ_STATUS_INVALID_SKETCH: the message names the place on the canvas and what to draw there.
+/// - S2PQ_STATUS_CANCELLED: s2pq_cancel was called, or a newer sketch came to a live session.
 ///
 /// # Safety
 /// `options` is NULL or valid as its `struct_size` says; `surface` is valid for writing.
@@ -208,7 +228,7 @@ pub unsafe extern "C" fn sketch_to_surface(
         };
         let refine = RefineOptions { fairness: options.fairness, ..RefineOptions::default() };
         let options = SurfaceOptions { corners, refine };
-        let result = pipeline::sketch_to_surface(&mut *session.lock()?, &sketch.sketch, &options)?;
+        let result = pipeline::sketch_to_surface(&mut *session.lock_for_newest()?, &sketch.sketch, &options)?;
         place.set(lend(S2pqSurface::new(result)));
         Ok(())
     })
@@ -396,6 +416,86 @@ pub unsafe extern "C" fn s2pq_surface_evaluate(
     })
 }
 
+/// A patch as bicubic Bezier patches, one for each span of its knots, exactly. Lent until the surface is freed.
+///
+/// - `xyz`: 16 points for each of count_u * count_v pieces, pieces and points with v running fastest: point (a, b) of piece (i, j) begins
+///   at `3 * (16 * (i * count_v + j) + 4 * a + b)`. Degrees 1 and 2 are raised to 3.
+/// - S2PQ_STATUS_INVALID_GEOMETRY: the patch is rational, or of a degree above 3, which no bicubic patches equal: use s2pq_surface_grid.
+///
+/// # Safety
+/// `xyz`, `count_u` and `count_v` are valid for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_surface_bezier(
+    surface: *const S2pqSurface,
+    patch: usize,
+    xyz: *mut *const f64,
+    count_u: *mut usize,
+    count_v: *mut usize,
+) -> S2pqStatus {
+    guard(|| {
+        // SAFETY: not freed during the call, as the header asks.
+        let (patch, view) = unsafe { get(surface) }?.patch(patch)?;
+        let (xyz, count_u, count_v) = (output("xyz", xyz)?, output("count_u", count_u)?, output("count_v", count_v)?);
+        let bezier = match view.bezier.get() {
+            Some(bezier) => bezier,
+            None => {
+                let patches = BezierPatches::new(&patch.surface)?;
+                let control_points = coordinates(&patches.control_points);
+                view.bezier.get_or_init(|| BezierView { counts: patches.counts, control_points })
+            }
+        };
+        xyz.set(bezier.control_points.as_ptr());
+        count_u.set(bezier.counts[0]);
+        count_v.set(bezier.counts[1]);
+        Ok(())
+    })
+}
+
+/// A patch as a grid of points, normals and quads, for drawing: any degree, rational or not. The quads are not planar.
+///
+/// - `cells_u`, `cells_v`: number of equal cells of the parameter domain, at least 1 each, at most 2^24 vertices.
+/// - `xyz`: takes (cells_u + 1) * (cells_v + 1) times x, y, z, world frame, v running fastest.
+/// - `normals`: takes as many unit normals S_u x S_v, zero where there is none; NULL if not wanted.
+/// - `quads`: takes cells_u * cells_v times four vertex indices, counter-clockwise seen from the side of the normals; NULL if not wanted.
+///
+/// # Safety
+/// `xyz`, `normals` and `quads`, unless NULL, are valid for writing as many values.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_surface_grid(
+    surface: *const S2pqSurface,
+    patch: usize,
+    cells_u: usize,
+    cells_v: usize,
+    xyz: *mut f64,
+    normals: *mut f64,
+    quads: *mut u32,
+) -> S2pqStatus {
+    guard(|| {
+        // SAFETY: not freed during the call, as the header asks.
+        let (patch, _) = unsafe { get(surface) }?.patch(patch)?;
+        output("xyz", xyz)?;
+        let grid = SurfaceGrid::new(&patch.surface, [cells_u, cells_v])?;
+        for (k, (point, normal)) in grid.points.iter().zip(&grid.normals).enumerate() {
+            for i in 0..3 {
+                // SAFETY: the host vouches for 3 numbers for each vertex.
+                unsafe {
+                    xyz.add(3 * k + i).write(point[i]);
+                    if !normals.is_null() {
+                        normals.add(3 * k + i).write(normal[i]);
+                    }
+                }
+            }
+        }
+        if !quads.is_null() {
+            for (k, index) in grid.quads.iter().flatten().enumerate() {
+                // SAFETY: the host vouches for 4 indices for each cell.
+                unsafe { quads.add(k).write(*index) };
+            }
+        }
+        Ok(())
+    })
+}
+
 /// How well a patch obeys the sketch.
 ///
 /// - `diagnostics`: set its struct_size first.
@@ -419,6 +519,8 @@ pub unsafe extern "C" fn s2pq_surface_diagnostics(
             reprojection_max_px: d.reprojection_max_px,
             sample_residual: d.sample_residual,
             misfacing: d.misfacing,
+            warm_start: u32::from(d.warm_start),
+            reserved: 0,
         };
         // SAFETY: the host's promise.
         unsafe { fill(diagnostics, &value) }

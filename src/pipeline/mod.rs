@@ -7,11 +7,13 @@
 mod curves;
 mod field;
 mod lift;
+mod live;
 mod mesh;
 mod placement;
 mod planarize;
 mod report;
 mod session;
+mod shared;
 mod singularities;
 mod surface;
 
@@ -22,5 +24,6 @@ pub use placement::Placement;
 pub use planarize::{PanelOptions, planarize_panels};
 pub use report::Report;
 pub use session::{MAX_THREADS, Progress, Session, SessionOptions, Times};
+pub use shared::SharedSession;
 pub use singularities::{FixedSingularity, SurfacePlace};
 pub use surface::{SurfaceDiagnostics, SurfaceOptions, SurfacePatch, SurfaceResult, sketch_to_surface};

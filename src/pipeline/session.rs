@@ -1,10 +1,13 @@
 //! What a host keeps between calls: loaded networks, threads, progress, cancel.
 
+use super::live::LiveSurfaces;
 use crate::control::Control;
 use crate::error::Error;
 use crate::infer::{BackendChoice, BackendInfo, BackendOptions, Models, Networks};
 use serde::ser::{Serialize, SerializeStruct, Serializer};
+use std::cell::Cell;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, mpsc};
 use std::time::Instant;
 
@@ -28,6 +31,12 @@ pub struct SessionOptions {
     pub models_folder: Option<PathBuf>,
     /// Threads for the stages; 0: as many as the machine has cores.
     pub threads: usize,
+    /// For a sketch that is drawn while the host looks on: [`super::sketch_to_surface`] begins with the last surface where the
+    /// sketch changed little, and in a [`super::SharedSession`] a newer sketch stops older work.
+    ///
+    /// The price: a surface then depends on what was drawn before, within what the strokes leave open. Without it the same sketch
+    /// gives the same bytes.
+    pub live: bool,
 }
 
 /// Loaded networks and the threads that the stages run on.
@@ -39,6 +48,11 @@ pub struct Session {
     control: Control,
     threads: rayon::ThreadPool,
     progress: Option<Box<Progress>>,
+    /// The last sketch's surfaces; `None` unless the session is live.
+    live: Option<LiveSurfaces>,
+    /// The newest ticket of a live session, and that of the work at hand: a newer one cancels.
+    pub(super) newest: Arc<AtomicU64>,
+    pub(super) ticket: u64,
 }
 
 impl Session {
@@ -68,7 +82,15 @@ impl Session {
             None => Models::embedded()?,
         };
         let networks = Networks::load(&models, &backend)?;
-        Ok(Self { networks, control: Control::default(), threads, progress: None })
+        Ok(Self {
+            networks,
+            control: Control::default(),
+            threads,
+            progress: None,
+            live: options.live.then(LiveSurfaces::default),
+            newest: Arc::default(),
+            ticket: 0,
+        })
     }
 
     /// A handle on the session's cancel flag, for any thread.
@@ -82,6 +104,11 @@ impl Session {
     /// Watches the stages of later calls; `None` ends it.
     pub fn set_progress(&mut self, progress: Option<Box<Progress>>) {
         self.progress = progress;
+    }
+
+    /// Whether [`SessionOptions::live`] was asked for.
+    pub fn is_live(&self) -> bool {
+        self.live.is_some()
     }
 
     /// What runs the networks.
@@ -99,30 +126,47 @@ impl Session {
         &mut self,
         body: impl FnOnce(&mut Networks, &Control) -> Result<T, Error> + Send,
     ) -> Result<T, Error> {
+        self.run_with(|networks, _, control| body(networks, control))
+    }
+
+    /// [`Self::run`] with what a live session keeps of the last sketch.
+    pub(super) fn run_with<T: Send>(
+        &mut self,
+        body: impl FnOnce(&mut Networks, Option<&mut LiveSurfaces>, &Control) -> Result<T, Error> + Send,
+    ) -> Result<T, Error> {
         let (sender, receiver) = mpsc::channel::<(String, f64)>();
         let control = self.control.watched_by(Arc::new(move |stage: &str, fraction| {
             // The receiver lives as long as the scope below.
             let _ = sender.send((stage.to_owned(), fraction));
         }));
+        let control = control.while_newest(Arc::clone(&self.newest), self.ticket);
+        let live = self.live.as_mut();
         let networks = &mut self.networks;
         let progress = &mut self.progress;
         let mut outcome = None;
         self.threads.in_place_scope(|scope| {
             let outcome = &mut outcome;
             // The control moves in: when the body ends, however it ends, the channel closes.
-            scope.spawn(move |_| *outcome = Some(body(networks, &control)));
+            scope.spawn(move |_| *outcome = Some(body(networks, live, &control)));
             while let Ok(first) = receiver.recv() {
                 // A slow host sees the newest step only.
                 let (stage, fraction) = receiver.try_iter().last().unwrap_or(first);
                 let (stage, fraction) = whole_stage(&stage, fraction);
                 if let Some(progress) = progress {
+                    REPORTING.set(true);
                     progress(stage, fraction);
+                    REPORTING.set(false);
                 }
             }
         });
         self.control.reset();
         outcome.expect("the scope ended, so its body did, and a panic would have left this function")
     }
+}
+
+thread_local! {
+    /// Whether a progress callback runs on this thread, from which no call may wait for a session.
+    pub(super) static REPORTING: Cell<bool> = const { Cell::new(false) };
 }
 
 /// The stage that a host knows, and the fraction of it, for a step that reports itself by a name of its own.

@@ -1,5 +1,6 @@
 //! First call: sketch to surface.
 
+use super::live::{LivePatch, LiveSurfaces};
 use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
@@ -51,6 +52,8 @@ pub struct SurfaceDiagnostics {
     pub sample_residual: f64,
     /// Share of the surface whose side facing the viewer is not drawn there.
     pub misfacing: f64,
+    /// Whether the surface began with that of the sketch before, see [`super::SessionOptions::live`].
+    pub warm_start: bool,
     /// Places of a grid where the surface turns from front to back, seen along the view, and no contour is drawn.
     pub fold_overs: usize,
 }
@@ -128,6 +131,10 @@ fn surface_value(surface: &NurbsSurface) -> Value {
 /// [`Error::Degenerate`] for an outline that spans no patch; [`Error::Backend`] and [`Error::Model`] from the networks;
 /// [`Error::Cancelled`].
 ///
+/// In a live session ([`super::SessionOptions::live`]) the refinement begins with the last sketch's surface where the outline, its
+/// corners and the contours moved by eight pixels at most and nothing was added or taken away, and with the above where the result then
+/// misses the strokes.
+///
 /// # Source
 /// Sketch2PQ, Sec. 3.2; refined beyond the paper on strokes and samples, see [`refine`].
 pub fn sketch_to_surface(
@@ -135,11 +142,12 @@ pub fn sketch_to_surface(
     sketch: &Sketch,
     options: &SurfaceOptions,
 ) -> Result<SurfaceResult, Error> {
-    session.run(|networks, control| run(networks, sketch, options, control))
+    session.run_with(|networks, live, control| run(networks, live, sketch, options, control))
 }
 
 fn run(
     networks: &mut Networks,
+    mut live: Option<&mut LiveSurfaces>,
     sketch: &Sketch,
     options: &SurfaceOptions,
     control: &Control,
@@ -148,11 +156,20 @@ fn run(
     control.step("sketch", 0.0)?;
     let Understanding { patches: drawn, unused } = timed(&mut times.sketch, || understand(sketch))?;
     let corners = check_corners(sketch, options, drawn.len())?;
-    let mut patches = Vec::with_capacity(drawn.len());
-    for patch in &drawn {
-        patches.push(patch_surface(networks, patch, corners, &options.refine, control, &mut times)?);
+    let (mut patches, mut kept) = (Vec::with_capacity(drawn.len()), vec![]);
+    for (index, patch) in drawn.iter().enumerate() {
+        let last = live.as_deref().and_then(|live| live.patch(index, drawn.len()));
+        let (surface, targets, anew) = patch_surface(networks, patch, last, corners, options, control, &mut times)?;
+        if live.is_some() {
+            let canonical = surface.surface.mapped(|p| surface.placement.from_world(p));
+            kept.push(LivePatch::new(patch, options, &targets, canonical, anew));
+        }
+        patches.push(surface);
     }
     control.step("refine", 1.0)?;
+    if let Some(live) = &mut live {
+        live.keep(kept);
+    }
     let backend = networks.backend().clone();
     let report = report(&drawn, &patches, &unused, &backend, times);
     Ok(SurfaceResult { patches, unused_strokes: unused, backend: Some(backend), report })
@@ -174,24 +191,42 @@ fn check_corners(sketch: &Sketch, options: &SurfaceOptions, outlines: usize) -> 
 fn patch_surface(
     networks: &mut Networks,
     patch: &PatchSketch,
+    last: Option<&LivePatch>,
     corners: Option<[[f64; 2]; 4]>,
-    options: &RefineOptions,
+    options: &SurfaceOptions,
     control: &Control,
     times: &mut Times,
-) -> Result<SurfacePatch, Error> {
+) -> Result<(SurfacePatch, SurfaceTargets, RefineReport), Error> {
     let raster = timed(&mut times.sketch, || rasterize(patch));
     control.step("infer", 0.0)?;
     let maps = SketchMaps::new(patch, &raster);
     let depths = timed(&mut times.infer, || networks.predict_depths(&maps, control))?;
     control.step("infer", 0.7)?;
     let (targets, curves) = timed(&mut times.refine, || targets(patch, corners, &depths))?;
-    let start = first_surface(networks, &maps, &depths, &targets, &curves, options, control, times)?;
-    control.step("refine", 0.0)?;
-    let refined = timed(&mut times.refine, || refine(&start, &targets, options, control))?;
+    let mut warm = None;
+    if let Some(last) = last {
+        let refined = timed(&mut times.refine, || {
+            let start = last.start(patch, options, &targets);
+            start.map(|start| refine(&start, &targets, &options.refine, control)).transpose()
+        })?;
+        warm = refined.filter(|refined| last.obeys(&refined.report)).map(|refined| (refined, last.anew()));
+    }
+    let warm_start = warm.is_some();
+    let (refined, anew) = match warm {
+        Some(warm) => warm,
+        None => {
+            let start = first_surface(networks, &maps, &depths, &targets, &curves, &options.refine, control, times)?;
+            control.step("refine", 0.0)?;
+            let refined = timed(&mut times.refine, || refine(&start, &targets, &options.refine, control))?;
+            let report = refined.report;
+            (refined, report)
+        }
+    };
     let lift = if patch.depth_samples.is_empty() { resting_lift(&refined.surface, patch) } else { 0.0 };
     let placement = Placement::of_sketch(&patch.view, &patch.frame, lift);
-    let diagnostics = diagnostics(&refined.report, &targets, patch.frame.scale);
-    Ok(SurfacePatch { surface: refined.surface.mapped(|p| placement.to_world(p)), placement, diagnostics })
+    let diagnostics = SurfaceDiagnostics { warm_start, ..diagnostics(&refined.report, &targets, patch.frame.scale) };
+    let surface = refined.surface.mapped(|p| placement.to_world(p));
+    Ok((SurfacePatch { surface, placement, diagnostics }, targets, anew))
 }
 
 /// Where the refinement begins: the layer maps unfolded, or BSR-Net's answer.
@@ -326,6 +361,7 @@ fn diagnostics(report: &RefineReport, targets: &SurfaceTargets, scale: f64) -> S
         sample_residual: report.sample_residual / scale,
         misfacing: report.misfacing,
         fold_overs: report.folds,
+        warm_start: false,
     }
 }
 

@@ -40,7 +40,7 @@ impl BezierPatches {
             let reason = format!("a {kind}surface of degrees {degrees:?} is no set of bicubic patches");
             return Err(Error::Nurbs { reason });
         }
-        let [u, v] = surface.knots().each_ref().map(|knots| pieces(knots));
+        let [u, v] = surface.knots().each_ref().map(pieces);
         let columns = surface.counts()[1];
         let mut control_points = Vec::with_capacity(16 * u.len() * v.len());
         for piece_u in &u {
@@ -101,8 +101,9 @@ fn polar_weights(knots: &[f64], degree: usize, span: usize, at: &[f64]) -> [f64;
             let index = span + i + 1 + level - degree;
             let (low, high) = (knots[index], knots[index + degree - level]);
             let share = (t - low) / (high - low);
-            for c in 0..=degree {
-                rows[i][c] = (1.0 - share) * rows[i][c] + share * rows[i + 1][c];
+            let next = rows[i + 1];
+            for (value, next) in rows[i].iter_mut().zip(next) {
+                *value = (1.0 - share) * *value + share * next;
             }
         }
     }

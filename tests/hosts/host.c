@@ -33,6 +33,7 @@ static int failures = 0;
 LAYOUT(S2pqSessionOptions, 32);
 OFFSET(S2pqSessionOptions, backend, 4);
 OFFSET(S2pqSessionOptions, threads, 8);
+OFFSET(S2pqSessionOptions, live, 12);
 OFFSET(S2pqSessionOptions, runtime_path, 16);
 OFFSET(S2pqSessionOptions, models_folder, 24);
 LAYOUT(S2pqSurfaceOptions, 24);
@@ -45,9 +46,10 @@ OFFSET(S2pqNurbs, knot_count_u, 32);
 OFFSET(S2pqNurbs, knots_u, 48);
 OFFSET(S2pqNurbs, control_points, 64);
 OFFSET(S2pqNurbs, weights, 72);
-LAYOUT(S2pqSurfaceDiagnostics, 40);
+LAYOUT(S2pqSurfaceDiagnostics, 48);
 OFFSET(S2pqSurfaceDiagnostics, reprojection_mean_px, 8);
 OFFSET(S2pqSurfaceDiagnostics, misfacing, 32);
+OFFSET(S2pqSurfaceDiagnostics, warm_start, 40);
 LAYOUT(S2pqSingularities, 48);
 OFFSET(S2pqSingularities, count, 8);
 OFFSET(S2pqSingularities, points, 16);
@@ -311,6 +313,92 @@ static void progress_and_cancel(S2pqSession *session, const S2pqSketch *sketch) 
 }
 
 /* A helix and a ruling on the quarter cylinder: the field follows them, and broken curves are refused. */
+/* What a pen does: the same sketch again and again, each in its own handle. */
+typedef struct {
+  S2pqSession *session;
+  const char *json;
+  size_t length;
+  int status;
+  int finished;
+} Stroke;
+
+static void *draw(void *argument) {
+  Stroke *stroke = argument;
+  S2pqSketch *sketch = NULL;
+  S2pqSurface *surface = NULL;
+  CHECK(s2pq_sketch_from_json((const uint8_t *)stroke->json, stroke->length, &sketch) == S2PQ_STATUS_OK);
+  stroke->status = (int)sketch_to_surface(stroke->session, sketch, NULL, &surface);
+  stroke->finished = surface != NULL;
+  s2pq_surface_free(surface);
+  s2pq_sketch_free(sketch);
+  return NULL;
+}
+
+/* A newer sketch stops the older call, and the one after a finished one begins with its surface. */
+static void live(const char *json, size_t length) {
+  S2pqSessionOptions options;
+  S2pqSession *session = NULL;
+  S2pqSketch *sketch = NULL;
+  S2pqSurface *surface = NULL;
+  S2pqSurfaceDiagnostics diagnostics;
+  Stroke strokes[4];
+  pthread_t pens[4];
+  int i, finished = 0;
+  CHECK(s2pq_session_options_init(&options, sizeof options) == S2PQ_STATUS_OK && options.live == 0);
+  options.backend = S2PQ_BACKEND_EMBEDDED;
+  options.threads = 1;
+  options.live = 2;
+  CHECK(s2pq_session_new(&options, &session) == S2PQ_STATUS_INVALID_ARGUMENT && session == NULL);
+  options.live = 1;
+  CHECK(s2pq_session_new(&options, &session) == S2PQ_STATUS_OK);
+  for (i = 0; i < 4; i++) {
+    Stroke stroke = {session, json, length, -1, 0};
+    strokes[i] = stroke;
+    CHECK(pthread_create(&pens[i], NULL, draw, &strokes[i]) == 0);
+  }
+  for (i = 0; i < 4; i++) pthread_join(pens[i], NULL);
+  for (i = 0; i < 4; i++) {
+    CHECK(strokes[i].status == S2PQ_STATUS_OK || strokes[i].status == S2PQ_STATUS_CANCELLED);
+    CHECK(strokes[i].finished == (strokes[i].status == S2PQ_STATUS_OK));
+    finished += strokes[i].finished;
+  }
+  CHECK(finished >= 1);
+  CHECK(s2pq_sketch_from_json((const uint8_t *)json, length, &sketch) == S2PQ_STATUS_OK);
+  CHECK(sketch_to_surface(session, sketch, NULL, &surface) == S2PQ_STATUS_OK);
+  diagnostics.struct_size = sizeof diagnostics;
+  CHECK(s2pq_surface_diagnostics(surface, 0, &diagnostics) == S2PQ_STATUS_OK && diagnostics.warm_start == 1);
+  CHECK(diagnostics.reprojection_mean_px < 0.5);
+  s2pq_surface_free(surface);
+  s2pq_sketch_free(sketch);
+  s2pq_session_free(session);
+}
+
+/* Bezier patches and a grid agree with the surface at the corners that they share. */
+static void preview(const S2pqSurface *surface) {
+  const double *bezier = NULL;
+  double corners[8] = {0, 0, 0, 1, 1, 0, 1, 1}, at[12], xyz[3 * 12], normals[3 * 12];
+  uint32_t quads[4 * 6];
+  size_t u = 0, v = 0, last, i;
+  CHECK(s2pq_surface_bezier(surface, 0, &bezier, &u, &v) == S2PQ_STATUS_OK && u == 27 && v == 27);
+  CHECK(s2pq_surface_evaluate(surface, 0, corners, 4, at, NULL) == S2PQ_STATUS_OK);
+  last = 3 * (16 * u * v - 1);
+  CHECK(s2pq_surface_grid(surface, 0, 2, 3, xyz, normals, quads) == S2PQ_STATUS_OK);
+  for (i = 0; i < 3; i++) {
+    CHECK(fabs(bezier[i] - at[i]) < 1e-9 && fabs(bezier[last + i] - at[9 + i]) < 1e-9);
+    CHECK(fabs(xyz[i] - at[i]) < 1e-9 && fabs(xyz[9 + i] - at[3 + i]) < 1e-9 && fabs(xyz[33 + i] - at[9 + i]) < 1e-9);
+  }
+  for (i = 0; i < 24; i++) CHECK(quads[i] < 12);
+  for (i = 0; i < 12; i++) {
+    const double *n = normals + 3 * i;
+    CHECK(fabs(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1) < 1e-9);
+  }
+  CHECK(s2pq_surface_grid(surface, 0, 2, 3, xyz, NULL, NULL) == S2PQ_STATUS_OK);
+  CHECK(s2pq_surface_grid(surface, 0, 0, 3, xyz, NULL, NULL) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_surface_grid(surface, 0, 2, 3, NULL, NULL, NULL) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_surface_bezier(surface, 1, &bezier, &u, &v) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_surface_bezier(surface, 0, NULL, &u, &v) == S2PQ_STATUS_INVALID_ARGUMENT);
+}
+
 static void feature_curves(S2pqSession *session, S2pqSurface *surface) {
   double points[3 * 12];
   const uint32_t starts[] = {0, 10, 12};
@@ -521,6 +609,8 @@ int main(int argc, char **argv) {
   bad_pointers(session);
   struct_sizes(session, field);
   progress_and_cancel(session, sketch);
+  preview(surface);
+  live(json, strlen(json));
   broken_sketches(session);
   own_surface(session);
   own_panels(session);

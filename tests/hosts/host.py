@@ -58,6 +58,15 @@ def mirrors_the_header():
     assert version == native.ABI_VERSION
 
 
+def a_live_session_begins_with_the_last_surface(path):
+    session = s.Session(backend="embedded", threads=1, live=True)
+    first, second = (session.surface(s.Sketch.read(path)).patches[0] for _ in range(2))
+    assert first.diagnostics["warm_start"] == 0 and second.diagnostics["warm_start"] == 1
+    size = np.ptp(first.control_points.reshape(-1, 3), axis=0).max()
+    moved = np.linalg.norm(first.grid(20, 20)[0] - second.grid(20, 20)[0], axis=1)
+    assert moved.max() < 0.05 * size, (moved.max(), size)
+
+
 def the_pipeline(session, path):
     sketch = s.Sketch.read(path)
     surface = session.surface(sketch)
@@ -66,7 +75,15 @@ def the_pipeline(session, path):
     assert len(patch.knots[0]) == 34 and len(patch.rhino_knots[1]) == 32
     points, normals = patch.evaluate([(0, 0), (0.3, 0.8), (1, 1)])
     assert np.allclose(points[0], patch.control_points[0, 0]) and np.allclose(np.linalg.norm(normals, axis=1), 1)
-    assert patch.diagnostics["reprojection_max_px"] > 0
+    assert patch.diagnostics["reprojection_max_px"] > 0 and patch.diagnostics["warm_start"] == 0
+    bezier = patch.bezier()
+    assert bezier.shape == (27, 27, 4, 4, 3)
+    ends, _ = patch.evaluate([(i / 27, j / 27) for i in range(28) for j in range(28)])
+    ends = ends.reshape(28, 28, 3)
+    assert np.allclose(bezier[:, :, 0, 0], ends[:-1, :-1]) and np.allclose(bezier[:, :, 3, 3], ends[1:, 1:])
+    vertices, vertex_normals, quads = patch.grid(27, 27)
+    assert np.allclose(vertices.reshape(28, 28, 3), ends) and quads.shape == (729, 4) and quads.max() == 783
+    assert np.allclose(np.linalg.norm(vertex_normals, axis=1), 1)
     field = session.field(surface, sketch)
     assert field.directions.shape == (len(field.triangles), 2, 3)
     assert np.allclose(np.linalg.norm(field.directions, axis=2), 1)
@@ -278,6 +295,8 @@ def main():
     for test in tests:
         test(session)
     the_pipeline(session, sys.argv[1])
+    a_live_session_begins_with_the_last_surface(sys.argv[1])
+    pen_moves_leave_no_memory(s.Session(backend="embedded", threads=1, live=True))
     print("host.py: all checks passed")
 
 

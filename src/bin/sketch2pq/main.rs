@@ -58,6 +58,7 @@ impl Runtime {
             runtime_path: self.runtime.clone(),
             models_folder: self.models.clone(),
             threads: self.threads,
+            live: false,
         }
     }
 }
