@@ -16,6 +16,7 @@ HERE = pathlib.Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 import nets
+import tasks
 import train
 
 BINARY = HERE.parent / "target" / "release" / "sketch2pq"
@@ -38,6 +39,8 @@ class Training(unittest.TestCase):
             *launcher, HERE / "train.py", network, "--data", self.work / "train", "--validation", self.work / "validation",
             "--threads", "1", "--out", self.work / out, *more,
         ]
+        for needed in tasks.TASKS[network].needs:
+            command += ["--helper", f"{needed}={HERE.parent / 'models' / needed}.onnx"]
         subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
         entries = [json.loads(line) for line in (self.work / out / "log.jsonl").read_text().splitlines()]
         return torch.load(self.work / out / "weights.pt", weights_only=True), entries
