@@ -2,8 +2,8 @@
 
 use super::conjugate_field::Singularity;
 use super::topology::EdgeTopology;
+use super::visit::Visit;
 use crate::surface::SurfaceMesh;
-use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 /// Share of an edge's length that it costs where the field is free to turn.
@@ -110,39 +110,13 @@ struct Tree {
     parent: Vec<u32>,
 }
 
-/// A vertex to be visited; the nearest first, then the lowest number.
-struct Visit {
-    distance: f64,
-    vertex: u32,
-}
-
-impl PartialEq for Visit {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Visit {}
-
-impl PartialOrd for Visit {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Visit {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.distance.total_cmp(&self.distance).then(other.vertex.cmp(&self.vertex))
-    }
-}
-
 impl Tree {
     fn grow(edges: &EdgeTopology, starts: &[usize], around: &[u32], cost: &[f64], root: u32) -> Self {
         let count = starts.len() - 1;
         let mut tree = Self { distance: vec![f64::INFINITY; count], parent: vec![u32::MAX; count] };
         tree.distance[root as usize] = 0.0;
-        let mut queue = BinaryHeap::from([Visit { distance: 0.0, vertex: root }]);
-        while let Some(Visit { distance, vertex }) = queue.pop() {
+        let mut queue = BinaryHeap::from([Visit { distance: 0.0, index: root }]);
+        while let Some(Visit { distance, index: vertex }) = queue.pop() {
             // A path ends where it meets the border: a charge on the border is none.
             if distance > tree.distance[vertex as usize] || edges.is_border_vertex(vertex) {
                 continue;
@@ -154,7 +128,7 @@ impl Tree {
                 if through < tree.distance[other as usize] {
                     tree.distance[other as usize] = through;
                     tree.parent[other as usize] = e;
-                    queue.push(Visit { distance: through, vertex: other });
+                    queue.push(Visit { distance: through, index: other });
                 }
             }
         }

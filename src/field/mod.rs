@@ -19,6 +19,7 @@ mod test_picture;
 mod test_surfaces;
 mod topology;
 mod trace;
+mod visit;
 
 pub use conjugate::{SecondForm, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};

@@ -2,9 +2,9 @@
 
 use super::smooth::DirectionConstraint;
 use super::topology::{EdgeTopology, TriangleFrames};
+use super::visit::Visit;
 use crate::surface::SurfaceMesh;
 use nalgebra::Vector3;
-use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 /// Weight of a constraint whose parallels have half their strength; hard ones have all of it.
@@ -45,10 +45,11 @@ pub(super) fn parallels(
         if tangent.norm() > 0.0 && strength > carried[t].1 {
             carried[t] = (tangent.y.atan2(tangent.x), strength);
             distance[t] = 0.0;
-            queue.push(Visit { distance: 0.0, triangle: t });
+            queue.push(Visit { distance: 0.0, index: t as u32 });
         }
     }
-    while let Some(Visit { distance: so_far, triangle: t }) = queue.pop() {
+    while let Some(Visit { distance: so_far, index }) = queue.pop() {
+        let t = index as usize;
         if so_far > distance[t] {
             continue;
         }
@@ -62,7 +63,7 @@ pub(super) fn parallels(
             if further < reach && further < distance[other] {
                 distance[other] = further;
                 carried[other] = (carried[t].0 + turn, carried[t].1);
-                queue.push(Visit { distance: further, triangle: other });
+                queue.push(Visit { distance: further, index: other as u32 });
             }
         }
     }
@@ -70,32 +71,6 @@ pub(super) fn parallels(
         .filter(|&t| distance[t] > 0.0 && distance[t] < reach)
         .map(|t| Parallel { triangle: t, angle: carried[t].0, strength: carried[t].1 * (1.0 - distance[t] / reach) })
         .collect()
-}
-
-/// A triangle to be visited; the nearest first, then the lowest number.
-struct Visit {
-    distance: f64,
-    triangle: usize,
-}
-
-impl PartialEq for Visit {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Visit {}
-
-impl PartialOrd for Visit {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Visit {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.distance.total_cmp(&self.distance).then(other.triangle.cmp(&self.triangle))
-    }
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 
 use super::conjugate_field::ConjugateField;
 use super::topology::NO_TRIANGLE;
-use std::cmp::Ordering;
+use super::visit::Visit;
 use std::collections::BinaryHeap;
 
 /// Stands for a missing half-edge.
@@ -171,10 +171,10 @@ impl Seams {
         let mut distance = vec![f64::INFINITY; border.len()];
         let mut towards = vec![NONE; border.len()];
         for &s in &singular {
-            let mut queue = BinaryHeap::from([Entry(0.0, s)]);
+            let mut queue = BinaryHeap::from([Visit { distance: 0.0, index: s }]);
             let mut touched = vec![s];
             distance[s as usize] = 0.0;
-            while let Some(Entry(d, v)) = queue.pop() {
+            while let Some(Visit { distance: d, index: v }) = queue.pop() {
                 if d > distance[v as usize] {
                     continue;
                 }
@@ -198,7 +198,7 @@ impl Seams {
                         distance[w as usize] = further;
                         towards[w as usize] = h as u32;
                         touched.push(w);
-                        queue.push(Entry(further, w));
+                        queue.push(Visit { distance: further, index: w });
                     }
                 }
             }
@@ -237,11 +237,11 @@ impl Seams {
         let mut queue = BinaryHeap::new();
         for v in (0..count).filter(|&v| border[v]) {
             distance[v] = 0.0;
-            queue.push(Entry(0.0, v as u32));
+            queue.push(Visit { distance: 0.0, index: v as u32 });
         }
         let mut settled = vec![];
         let mut done = vec![false; count];
-        while let Some(Entry(d, v)) = queue.pop() {
+        while let Some(Visit { distance: d, index: v }) = queue.pop() {
             if std::mem::replace(&mut done[v as usize], true) {
                 continue;
             }
@@ -252,7 +252,7 @@ impl Seams {
                 if self.twin[h] != NONE && further < distance[w as usize] {
                     distance[w as usize] = further;
                     towards[w as usize] = self.twin[h];
-                    queue.push(Entry(further, w));
+                    queue.push(Visit { distance: further, index: w });
                 }
             }
         }
@@ -382,26 +382,6 @@ impl Seams {
         }
         self.translations.push(t);
         self.translations.len() as u32 - 1
-    }
-}
-
-/// A vertex in a queue, the nearest first.
-struct Entry(f64, u32);
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-impl Eq for Entry {}
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Entry {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
     }
 }
 
