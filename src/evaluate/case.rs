@@ -7,7 +7,7 @@ use crate::error::Error;
 use crate::field::PolyVector;
 use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
 use crate::pipeline::{
-    FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
+    FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, Times, extract_pq_mesh, sketch_to_cdf,
     sketch_to_surface,
 };
 use crate::sketch::{CANONICAL_PER_PX, Layer, map_position, understand};
@@ -16,7 +16,7 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 29] = [
+pub const KEYS: [&str; 28] = [
     "d_c",
     "d_n_deg",
     "d_c_network",
@@ -45,7 +45,6 @@ pub const KEYS: [&str; 29] = [
     "crossing_min_deg",
     "irregular_vertices",
     "sample_residual",
-    "total_ms",
 ];
 
 /// The measures of one sketch.
@@ -65,6 +64,8 @@ pub struct Case {
     pub samples: usize,
     /// Measures by key; one that does not apply is missing.
     pub values: BTreeMap<&'static str, f64>,
+    /// Wall time of the stages; `None` for a refused sketch.
+    pub times: Option<Times>,
     /// Why a stage refused the sketch.
     pub failed: Option<String>,
 }
@@ -129,8 +130,8 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
         ("deviation_max_edges", report.deviation_max_edges),
         ("border_covered", report.border_covered),
         ("irregular_vertices", report.irregular_vertices.map(|n| n as f64)),
-        ("total_ms", Some(report.time_ms.total())),
     ];
+    case.times = Some(report.time_ms);
     case.values.extend(from_report.into_iter().filter_map(|(key, value)| Some((key, value?))));
     Ok(())
 }

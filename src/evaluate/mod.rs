@@ -1,13 +1,17 @@
 //! Measures the whole pipeline on sketches whose truth is known.
 
+mod bars;
 mod case;
 pub mod metrics;
 mod sheet;
 mod table;
+mod timing;
 
+pub use bars::{Bar, bars, bars_markdown};
 pub use case::{Case, KEYS, measure};
 pub use sheet::{Rank, sheet};
 pub use table::{groups, markdown, scores_json};
+pub use timing::timing_markdown;
 
 use crate::control::Control;
 use crate::datagen::{Options, Rejection, Sample, sample, sample_again};

@@ -39,7 +39,8 @@ pub fn groups(cases: &[Case]) -> BTreeMap<String, Vec<&Case>> {
     groups
 }
 
-fn average(cases: &[&Case], key: &str) -> Option<f64> {
+/// Mean of a measure over the cases that have it; `None` if none has.
+pub(super) fn average(cases: &[&Case], key: &str) -> Option<f64> {
     let values: Vec<f64> = cases.iter().filter_map(|c| c.values.get(key).copied()).collect();
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
@@ -88,7 +89,8 @@ fn table(groups: &BTreeMap<String, Vec<&Case>>, shown: &[&String]) -> String {
     text
 }
 
-fn number(value: f64) -> String {
+/// Digits that mean something.
+pub(super) fn number(value: f64) -> String {
     if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e6 {
         format!("{value}")
     } else if value.abs() >= 0.01 {

@@ -6,14 +6,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 use sketch2pq::Error;
 use sketch2pq::control::Control;
 use sketch2pq::datagen::Options;
-use sketch2pq::evaluate::{Rank, Split, evaluate, markdown, scores_json, sheet};
+use sketch2pq::evaluate::{Rank, Split, bars, bars_markdown, evaluate, markdown, scores_json, sheet, timing_markdown};
 use sketch2pq::infer::{BackendOptions, Models, Networks};
 use sketch2pq::pipeline::Session;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Measures the whole pipeline on held-out sketches whose truth is known: scores.json, scores.md, cases.json, and pictures of the ten
-/// best, median and worst cases.
+/// Measures the whole pipeline on held-out sketches whose truth is known: scores.json, scores.md (with what is asked and whether it is
+/// met), cases.json, and pictures of the ten best, median and worst cases.
 #[derive(Args)]
 pub struct Evaluate {
     /// What was kept from training.
@@ -31,6 +31,9 @@ pub struct Evaluate {
     /// Lowest and highest elevation of the view, degrees.
     #[arg(long, num_args = 2, default_values_t = Options::default().elevation_deg, value_names = ["LOW", "HIGH"])]
     elevation: Vec<f64>,
+    /// Also the time that each stage took: timing.md. Meaningful on a quiet machine only.
+    #[arg(long)]
+    timing: bool,
     /// No pictures.
     #[arg(long)]
     no_pictures: bool,
@@ -101,11 +104,16 @@ impl Evaluate {
                 value
             })
             .collect();
-        let table = markdown(&cases);
+        let mut table = format!("{}\n{}", bars_markdown(&bars(split, &cases)), markdown(&cases));
         let text = |value: &serde_json::Value| format!("{value:#}\n");
         self.write("scores.json", text(&scores_json(&cases)))?;
         self.write("cases.json", text(&serde_json::Value::Array(detail)))?;
         self.write("scores.md", &table)?;
+        if self.timing {
+            let timing = timing_markdown(&cases);
+            self.write("timing.md", &timing)?;
+            table = format!("{table}\n{timing}");
+        }
         if !self.no_pictures {
             for (name, rank) in [("best.png", Rank::Best), ("median.png", Rank::Median), ("worst.png", Rank::Worst)] {
                 self.write(name, sheet(&mut session, split, &cases, rank, &options, &control)?.to_png()?)?;
