@@ -216,7 +216,8 @@ typedef struct S2pqMesh S2pqMesh;
 // answered: give each call a sketch of its own.
 typedef struct S2pqSession S2pqSession;
 
-// Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new or s2pq_sketch_from_json.
+// Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new, s2pq_sketch_from_json or
+// s2pq_sketch_from_svg.
 //
 // Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y
 // down.
@@ -589,6 +590,19 @@ S2pqStatus s2pq_sketch_new(struct S2pqSketch **sketch);
 // Must be valid:
 // `text` is valid for reading `length` bytes, `sketch` for writing.
 S2pqStatus s2pq_sketch_from_json(const uint8_t *text, size_t length, struct S2pqSketch **sketch);
+
+// Reads a sketch from SVG text, as drawing programs write it; canvas y is down, the view is the default.
+//
+// The kind of a stroke comes from the names of its layer, group, class or id (visible boundary, occluded, contour,
+// feature), else from its colour: the nearest of green, blue, red and black. Circles with a number in data-depth or in
+// their title are depth samples, of the occluded layer if their data-layer, class, id or group says so.
+//
+// - `text`, `length`: UTF-8 without NUL, `length` bytes.
+// - `sketch`: takes the new sketch.
+//
+// Must be valid:
+// `text` is valid for reading `length` bytes, `sketch` for writing.
+S2pqStatus s2pq_sketch_from_svg(const uint8_t *text, size_t length, struct S2pqSketch **sketch);
 
 // Sets the view by two angles in degrees.
 //

@@ -225,6 +225,7 @@ SIGNATURES = {
     "s2pq_session_free": (None, [_handle]),
     "s2pq_sketch_new": (_u32, [_out(_handle)]),
     "s2pq_sketch_from_json": (_u32, [c.c_char_p, _size, _out(_handle)]),
+    "s2pq_sketch_from_svg": (_u32, [c.c_char_p, _size, _out(_handle)]),
     "s2pq_sketch_set_view_angles": (_u32, [_handle, _f64, _f64, _u32]),
     "s2pq_sketch_set_view_axes": (_u32, [_handle, _f64s, _u32]),
     "s2pq_sketch_add_stroke": (_u32, [_handle, _u32, _f64s, _size]),

@@ -233,17 +233,27 @@ class Sketch(_Handle):
     @classmethod
     def from_json(cls, text):
         """A sketch from JSON text, the form of the files in examples/sketches."""
+        return cls._from_text(library().s2pq_sketch_from_json, text)
+
+    @classmethod
+    def from_svg(cls, text):
+        """A sketch from SVG text: the names of layers, else the colours, tell what a stroke is; see the C header."""
+        return cls._from_text(library().s2pq_sketch_from_svg, text)
+
+    @classmethod
+    def _from_text(cls, parse, text):
         data = text.encode() if isinstance(text, str) else bytes(text)
         pointer = ctypes.c_void_p()
-        _check(library().s2pq_sketch_from_json(data, len(data), ctypes.byref(pointer)))
+        _check(parse(data, len(data), ctypes.byref(pointer)))
         sketch = cls.__new__(cls)
         _Handle.__init__(sketch, pointer)
         return sketch
 
     @classmethod
     def read(cls, path):
-        """A sketch from a JSON file."""
-        return cls.from_json(Path(path).read_bytes())
+        """A sketch from a JSON file, or from an SVG file if the name ends so."""
+        path = Path(path)
+        return (cls.from_svg if path.suffix.lower() == ".svg" else cls.from_json)(path.read_bytes())
 
     def set_view(self, azimuth_deg=45.0, elevation_deg=45.0, y_down=True):
         """Direction towards the viewer: azimuth from world x towards y, elevation above the horizon."""

@@ -4,7 +4,7 @@ use super::guard::guard;
 use super::handle::{Handle, free, get, get_mut, lend};
 use super::{S2pqStatus, choice, flag, output, slice};
 use crate::error::Error;
-use crate::sketch::{DepthSample, Layer, Sketch, Stroke, StrokeKind, View, parse_json};
+use crate::sketch::{DepthSample, Layer, Sketch, Stroke, StrokeKind, View, parse_json, parse_svg};
 use nalgebra::Vector3;
 
 /// What a stroke stands for; passed as uint32_t.
@@ -31,7 +31,8 @@ pub enum S2pqLayer {
     Occluded = 1,
 }
 
-/// Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new or s2pq_sketch_from_json.
+/// Strokes and depth samples on a canvas, and the view. Made by s2pq_sketch_new, s2pq_sketch_from_json or
+/// s2pq_sketch_from_svg.
 ///
 /// Canvas coordinates are the host's own, in any unit. The default view is azimuth 45, elevation 45 degrees, canvas y
 /// down.
@@ -77,12 +78,47 @@ pub unsafe extern "C" fn s2pq_sketch_from_json(
     length: usize,
     sketch: *mut *mut S2pqSketch,
 ) -> S2pqStatus {
+    // SAFETY: the host's promise.
+    unsafe { from_text(text, length, sketch, parse_json) }
+}
+
+/// Reads a sketch from SVG text, as drawing programs write it; canvas y is down, the view is the default.
+///
+/// The kind of a stroke comes from the names of its layer, group, class or id (visible boundary, occluded, contour,
+/// feature), else from its colour: the nearest of green, blue, red and black. Circles with a number in data-depth or in
+/// their title are depth samples, of the occluded layer if their data-layer, class, id or group says so.
+///
+/// - `text`, `length`: UTF-8 without NUL, `length` bytes.
+/// - `sketch`: takes the new sketch.
+///
+/// # Safety
+/// `text` is valid for reading `length` bytes, `sketch` for writing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn s2pq_sketch_from_svg(
+    text: *const u8,
+    length: usize,
+    sketch: *mut *mut S2pqSketch,
+) -> S2pqStatus {
+    // SAFETY: the host's promise.
+    unsafe { from_text(text, length, sketch, parse_svg) }
+}
+
+/// Puts into `sketch` what `parse` reads in the text.
+///
+/// # Safety
+/// As [`s2pq_sketch_from_json`].
+unsafe fn from_text(
+    text: *const u8,
+    length: usize,
+    sketch: *mut *mut S2pqSketch,
+    parse: fn(&str) -> Result<Sketch, Error>,
+) -> S2pqStatus {
     guard(|| {
         let place = output("sketch", sketch)?;
         // SAFETY: the host's promise.
         let bytes = unsafe { slice("text", text, length) }?;
         let text = std::str::from_utf8(bytes).map_err(|e| Error::Format { what: "sketch", reason: e.to_string() })?;
-        let sketch = parse_json(text)?;
+        let sketch = parse(text)?;
         let points = sketch.strokes.iter().map(|s| s.points.len()).sum();
         place.set(lend(S2pqSketch { sketch, points }));
         Ok(())

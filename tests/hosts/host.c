@@ -124,6 +124,7 @@ static void bad_pointers(S2pqSession *session) {
   CHECK(s2pq_sketch_set_view_angles(sketch, 0, 91, 0) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(s2pq_sketch_set_view_angles(sketch, 0, 45, 2) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(s2pq_sketch_from_json(NULL, 5, &sketch) == S2PQ_STATUS_INVALID_ARGUMENT);
+  CHECK(s2pq_sketch_from_svg(NULL, 5, &sketch) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(sketch_to_surface(NULL, sketch, NULL, &surface) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(sketch_to_surface(session, NULL, NULL, &surface) == S2PQ_STATUS_INVALID_ARGUMENT);
   CHECK(sketch_to_surface(session, sketch, NULL, NULL) == S2PQ_STATUS_INVALID_ARGUMENT);

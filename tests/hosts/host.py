@@ -101,6 +101,13 @@ def the_pipeline(session, path):
     assert (vertices == kept).all() and not vertices.flags.writeable
 
 
+def svg_means_the_same(session):
+    sketches = ROOT / "examples" / "sketches"
+    json, svg = (session.surface(s.Sketch.read(sketches / f"dome.{kind}")).patches[0] for kind in ("json", "svg"))
+    extents = [np.ptp(patch.grid(20, 20)[0], axis=0) for patch in (json, svg)]
+    assert np.allclose(*extents, rtol=0.02), extents
+
+
 def moves_and_scales_exactly(session):
     # Powers of two are exact in floating point, so is the answer.
     base = session.surface(drawn(SQUARE)).patches[0].control_points
@@ -136,6 +143,7 @@ def broken_sketches(session):
     raises(s.ArgumentError, drawn, [(1, 2, 3)] * 3 + [(1,)])
     for text in ("", "{", "[]", '{"strokes": 3}', '{"strokes": [{"kind": "scribble", "points": []}]}', "\0\1"):
         raises(s.ArgumentError, s.Sketch.from_json, text)
+        raises(s.ArgumentError, s.Sketch.from_svg, text)
 
 
 def own_surface(session):
@@ -290,7 +298,7 @@ def main():
     session = s.Session(backend="embedded")
     assert "rten" in session.backend
     tests = (
-        broken_sketches, moves_and_scales_exactly, own_surface, own_panels, arguments, progress_and_cancel, pen_moves_leave_no_memory,
+        broken_sketches, svg_means_the_same, moves_and_scales_exactly, own_surface, own_panels, arguments, progress_and_cancel, pen_moves_leave_no_memory,
     )
     for test in tests:
         test(session)
