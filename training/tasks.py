@@ -109,8 +109,9 @@ class VdNet(Task):
     def loss(self, output, prepared, weights):
         side = prepared["valid"][:, 0]
         h, normal = self.decode(output, prepared)
+        trust = losses.certainty(prepared["std"], side)[:, None, None]
         data, smooth, compatible = losses.layer_terms(
-            h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], side, prepared["slope"], weights
+            h, normal, prepared["depth"][:, 0], prepared["normal"][:, 0], side, prepared["slope"], weights, trust
         )
         points, values, given, _ = prepared["samples"]
         depth = losses.mean((geometry.lookup(h[:, None], points)[:, 0] - values).square(), given)
