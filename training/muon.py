@@ -38,14 +38,14 @@ class Muon(torch.optim.Optimizer):
 
 
 def optimizers(model, rate, weight_decay, shares):
-    """Muon for the inner convolutions of U-Nets, AdamW for stems, heads, positions and biases.
+    """Muon for the inner convolutions of U-Nets, AdamW for stems, heads, positions, sharpness and biases.
 
     `shares` has the share of `rate` for the parameters of a part of the model, by the beginning of their names; 1 elsewhere.
     """
     muon, adam = {}, {}
     for name, parameter in model.named_parameters():
         share = next((value for start, value in shares.items() if name.startswith(start)), 1.0)
-        inner = parameter.ndim == 4 and not {"stem", "head", "position"} & set(name.split("."))
+        inner = parameter.ndim == 4 and not {"stem", "head", "position", "sharpness"} & set(name.split("."))
         (muon if inner else adam).setdefault(share, []).append(parameter)
     groups = lambda parts: [{"params": parameters, "share": share, "lr": rate * share} for share, parameters in parts.items()]
     return [Muon(groups(muon), rate, weight_decay=weight_decay), torch.optim.AdamW(groups(adam), rate, weight_decay=weight_decay, fused=True)]

@@ -35,13 +35,18 @@ class Residual(nn.Module):
 
 
 class Attention(nn.Module):
-    """Every pixel looks at all others (multi-head self-attention): shape is integrated across the whole canvas in one step."""
+    """Every pixel looks at all others (multi-head self-attention): shape is integrated across the whole canvas in one step.
+
+    Queries and keys are unit vectors, times a sharpness that each head learns: without that their products grow without bound
+    under Muon, until every pixel looks at one other and training diverges.
+    """
 
     HEAD = 32
 
     def __init__(self, width, size):
         super().__init__()
         self.heads = width // self.HEAD
+        self.sharpness = nn.Parameter(torch.full((1, self.heads, 1, 1), 20.0))
         self.position = nn.Parameter(torch.zeros(1, width, size, size))
         self.ask = nn.Conv2d(width, 3 * width, 1)
         self.answer = nn.Conv2d(width, width, 1)
@@ -54,7 +59,9 @@ class Attention(nn.Module):
         asked = self.ask(F.relu(x) + self.position.to(x.dtype))
         asked = asked.reshape(-1, 3, self.heads, self.HEAD, height * length)
         query, key, value = asked[:, 0], asked[:, 1], asked[:, 2]
-        weights = (query.transpose(-1, -2) @ key * self.HEAD**-0.5).softmax(-1)
+        # In operators of models/README.md, which F.normalize is not.
+        unit = lambda vectors: vectors / (vectors.square().mean(2, keepdim=True) * self.HEAD + 1e-12).sqrt()
+        weights = ((unit(query) * self.sharpness.to(x.dtype)).transpose(-1, -2) @ unit(key)).softmax(-1)
         seen = (value @ weights.transpose(-1, -2)).reshape(-1, width, height, length)
         return x + self.answer(seen)
 
