@@ -1,14 +1,19 @@
 //! First call: surfaces obey their sketches, in any view, and hosts' own surfaces of any kind go on.
 
 use nalgebra::{Point3, Rotation3, Vector3};
+use sketch2pq::control::Control;
 use sketch2pq::datagen::{Options, sample};
+use sketch2pq::evaluate::Split;
+use sketch2pq::evaluate::metrics::{SurfaceSamples, chamfer};
 use sketch2pq::infer::BackendChoice;
 use sketch2pq::pipeline::{
     FieldOptions, MeshOptions, Session, SessionOptions, SurfaceOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
     sketch_to_surface,
 };
 use sketch2pq::sketch::{Sketch, Stroke, StrokeKind, View, parse_json};
-use sketch2pq::surface::{KnotVector, NurbsSurface};
+use sketch2pq::surface::{
+    BorderCurves, KnotVector, NurbsSurface, RefineOptions, SurfaceProjector, refine, unfolded_net,
+};
 
 fn session() -> Session {
     let options = SessionOptions { backend: BackendChoice::Embedded, threads: 1, ..SessionOptions::default() };
@@ -55,11 +60,64 @@ fn every_example_meets_its_strokes() {
 #[test]
 fn seeds_with_trouble_stay_near_their_strokes() {
     let mut session = session();
-    for (seed, most) in [(152, 0.5), (9_000_004, 2.0), (9_000_020, 1.5), (9_000_080, 1.5), (9_000_091, 1.0)] {
+    for seed in [152, 9_000_004, 9_000_020, 9_000_080, 9_000_091, 9_000_103] {
         let truth = sample(seed, &Options::default()).unwrap();
         let diagnostics = surface(&mut session, &truth.sketch).patches[0].diagnostics;
-        assert!(diagnostics.reprojection_mean_px < most, "{seed}: {diagnostics:?}");
+        assert!(diagnostics.reprojection_mean_px < 0.5, "{seed}: {diagnostics:?}");
     }
+}
+
+/// Sketches whose surface once folded over: strips between a contour and the border behind it that are thinner than a map pixel, corners
+/// in deep notches, parameter lines that jammed beside a contour's end. From exact maps, so that the networks have no part in it.
+#[test]
+fn sketches_that_folded_over_lie_flat() {
+    let known = [103, 143, 163].map(|index| (Split::Surfaces, index));
+    let seen = [24, 43, 90, 205, 217, 229, 235, 246, 248, 276, 292].map(|index| (Split::Rotations, index));
+    for (split, index) in known.into_iter().chain(seen) {
+        let truth = split.sample(index, &Options::default()).unwrap();
+        let targets = truth.surface_targets().unwrap();
+        let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
+        let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps, 1.0).unwrap();
+        let start = NurbsSurface::new(curves.knots, net, None).unwrap();
+        let refined = refine(&start, &targets, &RefineOptions::default(), &Control::default()).unwrap();
+        let report = refined.report;
+        let [start, end] = [&start, &refined.surface].map(|surface| {
+            let [found, actual] = [surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 60));
+            chamfer(&found, &actual).0
+        });
+        assert_eq!(report.folds, 0, "{split:?} {index}: {report:?}");
+        assert!(report.border_px[0] < 0.5 && report.contour_px[0] < 0.5, "{split:?} {index}: {report:?}");
+        assert!(start < 0.1 && end < 0.15, "{split:?} {index}: {start} {end}");
+    }
+}
+
+#[test]
+fn moving_one_depth_sample_leaves_the_others_met() {
+    let mut session = session();
+    let sketch = sample(9_000_009, &Options::default()).unwrap().sketch;
+    assert!(sketch.depth_samples.len() > 3);
+    let view = sketch.view;
+    let extent = |axis: usize| {
+        let values = || sketch.strokes.iter().flat_map(|s| &s.points).map(|p| p[axis]);
+        values().fold(f64::MIN, f64::max) - values().fold(f64::MAX, f64::min)
+    };
+    let size = extent(0).max(extent(1));
+    let mut at = |offset: f64| {
+        let mut moved = sketch.clone();
+        moved.depth_samples[0].depth += offset * size;
+        let result = surface(&mut session, &moved);
+        assert!(result.patches[0].diagnostics.sample_residual < 0.01 * size);
+        result.patches[0].surface.mapped(|p| view.world_to_camera(p))
+    };
+    let (base, little, more) = (at(0.0), at(0.0005), at(0.02));
+    let apart = |other: &NurbsSurface| {
+        let projector = SurfaceProjector::new(&base);
+        let places = (0..21 * 21).map(|k| other.at_fraction((k / 21) as f64 / 20.0, (k % 21) as f64 / 20.0));
+        places.map(|[u, v]| projector.closest(&other.point(u, v)).distance).fold(0.0, f64::max) / size
+    };
+    // A fortieth of the move is little of the change, and nothing moves much farther than the sample.
+    let [small, large] = [apart(&little), apart(&more)];
+    assert!(small < 0.002 && large > 0.005 && large < 0.06, "{small} {large}");
 }
 
 #[test]

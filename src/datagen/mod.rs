@@ -11,6 +11,7 @@ mod directions;
 mod grid;
 mod layers;
 mod natural;
+mod perfect;
 mod preview;
 mod project;
 mod reading;

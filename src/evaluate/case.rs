@@ -8,7 +8,7 @@ use crate::field::PolyVector;
 use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
 use crate::pipeline::{
     FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, Times, extract_pq_mesh, sketch_to_cdf,
-    sketch_to_surface,
+    sketch_to_surface, unrefined_surface,
 };
 use crate::sketch::{CANONICAL_PER_PX, Layer, map_position, understand};
 use crate::surface::{NurbsSurface, RefineOptions};
@@ -16,9 +16,11 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 28] = [
+pub const KEYS: [&str; 30] = [
     "d_c",
     "d_n_deg",
+    "d_c_start",
+    "d_n_start_deg",
     "d_c_network",
     "d_n_network_deg",
     "d_v",
@@ -100,12 +102,11 @@ pub fn measure(session: &mut Session, networks: &mut Networks, truth: &Sample) -
 
 fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
     network_errors(case, networks, truth)?;
-    let unrefined = RefineOptions { iterations: 0, ..RefineOptions::default() };
-    let network =
-        sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unrefined, ..Default::default() })?;
-    surface_errors(case, &network, truth, ["d_c_network", "d_n_network_deg"]);
+    let unfitted = RefineOptions { iterations: 0, ..RefineOptions::default() };
+    let start = sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unfitted, ..Default::default() })?;
+    surface_errors(case, &in_canonical(&start, truth), truth, ["d_c_start", "d_n_start_deg"]);
     let surface = sketch_to_surface(session, &truth.sketch, &SurfaceOptions::default())?;
-    let recovered = surface_errors(case, &surface, truth, ["d_c", "d_n_deg"]);
+    let recovered = surface_errors(case, &in_canonical(&surface, truth), truth, ["d_c", "d_n_deg"]);
     case.values.insert("d_c_shear", sheared_chamfer(&recovered, &truth.surface));
     let [mean, p95] = reprojection(&recovered, truth);
     case.values.insert("reprojection_mean_px", mean);
@@ -136,12 +137,14 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
     Ok(())
 }
 
-/// Errors of VD-Net, OD-Net and CDF-Net on their own maps.
+/// Errors of VD-Net, OD-Net and CDF-Net on their own maps, and of BSR-Net's surface.
 fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
     // The patch of the truth was read before the depth samples were drawn.
     let patch = understand(&truth.sketch)?.patches.swap_remove(0);
     let maps = SketchMaps::new(&patch, &truth.raster);
     let control = Control::default();
+    let unrefined = unrefined_surface(networks, &patch, &maps, &control)?;
+    surface_errors(case, &unrefined, truth, ["d_c_network", "d_n_network_deg"]);
     let depths = networks.predict_depths(&maps, &control)?;
     let pixels = MAP * MAP;
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
@@ -199,12 +202,16 @@ fn direction_error(predicted: &DirectionPrediction, depths: &DepthPrediction, tr
     (count > 0).then(|| sum / count as f64)
 }
 
-/// D_c and D_n of a result, returned in the canonical frame of the sketch and, without depth samples, moved to the truth's depth.
-fn surface_errors(case: &mut Case, result: &SurfaceResult, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
+/// The surface of a result in the canonical frame of its sketch.
+fn in_canonical(result: &SurfaceResult, truth: &Sample) -> NurbsSurface {
     let view = &truth.patch.view;
-    let recovered = result.patches[0].surface.mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)));
+    result.patches[0].surface.mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)))
+}
+
+/// D_c and D_n of a surface in the canonical frame; returned as measured: without depth samples moved to the truth's depth.
+fn surface_errors(case: &mut Case, recovered: &NurbsSurface, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
     let shift = if case.samples == 0 {
-        mean_z(&truth.surface) - mean_z(&recovered)
+        mean_z(&truth.surface) - mean_z(recovered)
     } else {
         DEPTH_OF_REFERENCE * truth.patch.frame.scale
     };

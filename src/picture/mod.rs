@@ -15,6 +15,6 @@ pub use canvas::{Frame, Picture, compose};
 pub use cases::{CaseRow, case_sheet};
 pub use mesh::{MeshPart, mesh_picture, planarity_color};
 pub use scene::{Scene, ScenePatch, other_view, scene_picture};
-pub use sketch::sketch_picture;
+pub use sketch::{overlay_sketch, sketch_picture};
 pub use surface::surface_picture;
 pub use svg::{mesh_svg, sketch_svg};

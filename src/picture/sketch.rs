@@ -41,7 +41,7 @@ pub(crate) fn draw_sketch(sketch: &Sketch, frame: &Frame) -> Picture {
 }
 
 /// Draws the sketch over what the picture shows.
-pub(crate) fn overlay_sketch(picture: &mut Picture, sketch: &Sketch, frame: &Frame) {
+pub fn overlay_sketch(picture: &mut Picture, sketch: &Sketch, frame: &Frame) {
     let place = |p: [f64; 2]| {
         let [x, y] = sketch.view.canvas_to_camera(p);
         frame.place(x, y)

@@ -15,6 +15,7 @@ mod report;
 mod session;
 mod shared;
 mod singularities;
+mod start;
 mod surface;
 
 pub use curves::FeatureCurve;
@@ -26,4 +27,5 @@ pub use report::Report;
 pub use session::{MAX_THREADS, Progress, Session, SessionOptions, Times};
 pub use shared::SharedSession;
 pub use singularities::{FixedSingularity, SurfacePlace};
+pub(crate) use start::unrefined_surface;
 pub use surface::{SurfaceDiagnostics, SurfaceOptions, SurfacePatch, SurfaceResult, sketch_to_surface};

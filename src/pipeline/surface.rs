@@ -4,17 +4,12 @@ use super::live::{LivePatch, LiveSurfaces};
 use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
+use super::start::{first_surfaces, targets, unfolded_surface};
 use crate::control::Control;
 use crate::error::Error;
-use crate::infer::{BackendInfo, DepthPrediction, LayerPrediction, NET_SIZE, Networks, SketchMaps};
-use crate::sketch::{
-    CANVAS_HALF_WIDTH, Layer, MAP_SIZE, PatchSketch, Sketch, StrokeKind, Understanding, rasterize, understand,
-};
-use crate::surface::{
-    BorderCurves, BorderLoop, LayerMap, LayerMaps, LayerSample, NurbsSurface, RefineOptions, RefineReport,
-    SurfaceTargets, coons_net, energy, refine, unfolded_net,
-};
-use nalgebra::{Point3, Vector3};
+use crate::infer::{BackendInfo, Networks, SketchMaps};
+use crate::sketch::{PatchSketch, Sketch, Understanding, rasterize, understand};
+use crate::surface::{NurbsSurface, RefineOptions, RefineReport, SurfaceTargets, refine, refine_best};
 use serde_json::{Value, json};
 
 /// What a host may ask of a surface.
@@ -215,9 +210,18 @@ fn patch_surface(
     let (refined, anew) = match warm {
         Some(warm) => warm,
         None => {
-            let start = first_surface(networks, &maps, &depths, &targets, &curves, &options.refine, control, times)?;
+            let starts = first_surfaces(networks, &maps, &depths, &targets, &curves, control, times)?;
             control.step("refine", 0.0)?;
-            let refined = timed(&mut times.refine, || refine(&start, &targets, &options.refine, control))?;
+            let refined = timed(&mut times.refine, || {
+                let refined = refine_best(&starts, &targets, &options.refine, control)?;
+                if refined.report.folds == 0 || options.refine.iterations == 0 {
+                    return Ok(refined);
+                }
+                // Parameter lines that jam in the start seldom come apart; in a smoother one they run more evenly.
+                let smoother = unfolded_surface(&targets, &curves, SMOOTHER)?;
+                let again = refine(&smoother, &targets, &options.refine, control)?;
+                Ok(if again.report.folds < refined.report.folds { again } else { refined })
+            })?;
             let report = refined.report;
             (refined, report)
         }
@@ -229,81 +233,8 @@ fn patch_surface(
     Ok((SurfacePatch { surface, placement, diagnostics }, targets, anew))
 }
 
-/// Where the refinement begins: the layer maps unfolded, or BSR-Net's answer.
-///
-/// With contours always the former, since the refinement cannot make a fold that its start lacks, and BSR-Net misses some:
-/// on 40 folded held-out sketches the contours ended 4.4 px off from BSR-Net's start, 1.0 px from the unfolded one. Without
-/// contours the one with less energy.
-#[expect(clippy::too_many_arguments, reason = "one call site, the state of one patch")]
-fn first_surface(
-    networks: &mut Networks,
-    maps: &SketchMaps,
-    depths: &DepthPrediction,
-    targets: &SurfaceTargets,
-    curves: &BorderCurves,
-    options: &RefineOptions,
-    control: &Control,
-    times: &mut Times,
-) -> Result<NurbsSurface, Error> {
-    let surface = |net: Vec<Point3<f64>>| NurbsSurface::new(curves.knots.clone(), net, None);
-    let unfolded = timed(&mut times.refine, || {
-        unfolded_net(&targets.border, curves, &targets.contours, &targets.maps.meeting(&targets.samples))
-    });
-    let unfolded = surface(unfolded?)?;
-    if !targets.contours.is_empty() {
-        return Ok(unfolded);
-    }
-    let offsets_from = |p: &Point3<f64>| [p.x, p.y, -p.z - depths.plane_depth(p.y)];
-    let coons: Vec<[f64; 3]> = coons_net(curves).iter().map(offsets_from).collect();
-    let moved = timed(&mut times.infer, || networks.net_offsets(maps, depths, &coons, control))?;
-    let net = coons.iter().zip(&moved).map(|(p, d)| {
-        let [x, y, h] = [0, 1, 2].map(|k| p[k] + d[k]);
-        Point3::new(x, y, -h - depths.plane_depth(y))
-    });
-    let predicted = surface(net.collect())?;
-    timed(&mut times.refine, || {
-        let energies = [energy(&unfolded, targets, options)?, energy(&predicted, targets, options)?];
-        Ok(if energies[1] < energies[0] { predicted } else { unfolded })
-    })
-}
-
-/// What the surface has to obey, and its border in space.
-fn targets(
-    patch: &PatchSketch,
-    corners: Option<[[f64; 2]; 4]>,
-    depths: &DepthPrediction,
-) -> Result<(SurfaceTargets, BorderCurves), Error> {
-    let points = patch.border.iter().map(|b| b.position).collect();
-    let occluded = patch.border.iter().map(|b| b.layer == Layer::Occluded).collect();
-    let border = BorderLoop::new(points, occluded)?;
-    let corners = match corners {
-        Some(places) => border.corners_near(places.map(|p| patch.frame.from_camera(p)))?,
-        None => border.choose_corners()?,
-    };
-    let maps = LayerMaps { visible: layer_map(depths, Layer::Visible)?, occluded: layer_map(depths, Layer::Occluded)? };
-    let curves = BorderCurves::new(&border, corners, &maps, [NET_SIZE; 2])?;
-    let contours = patch.strokes.iter().filter(|s| s.kind == StrokeKind::Contour).map(|s| s.points.clone()).collect();
-    let samples = patch
-        .depth_samples
-        .iter()
-        .map(|s| LayerSample { position: s.position, occluded: s.layer == Layer::Occluded, depth: s.depth })
-        .collect();
-    Ok((SurfaceTargets { border, corners, contours, samples, maps }, curves))
-}
-
-fn layer_map(depths: &DepthPrediction, layer: Layer) -> Result<LayerMap, Error> {
-    let Some((prediction, depth)) = depths.layer(layer).zip(depths.depths(layer)) else {
-        return Ok(LayerMap::empty(MAP_SIZE, CANVAS_HALF_WIDTH));
-    };
-    let LayerPrediction { normals, coverage_front, coverage_back, .. } = prediction;
-    let normal = normals.iter().map(|n| {
-        let n = Vector3::from(n.map(f64::from));
-        n.try_normalize(0.0).unwrap_or_else(Vector3::z)
-    });
-    let wide = |coverage: &[f32]| coverage.iter().map(|&c| f64::from(c)).collect::<Vec<_>>();
-    LayerMap::new(CANVAS_HALF_WIDTH, depth, normal.collect(), &wide(coverage_front), &wide(coverage_back))
-}
-
+/// Smoothness of the second start of a surface that folds over.
+const SMOOTHER: f64 = 10.0;
 /// Smallest sine of the view's elevation at which a patch can be put on the ground by sliding it along the view: three
 /// degrees.
 const LOWEST_VIEW: f64 = 0.052;

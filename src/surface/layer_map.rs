@@ -125,6 +125,10 @@ impl MapSide {
         let pixel = map.pixel();
         let mut ring: Vec<u8> =
             (0..count).map(|k| if map.valid[k] && map.front[k] == front { 0 } else { u8::MAX }).collect();
+        if ring.iter().all(|&level| level > 0) {
+            let (depth, normal, nearest) = (vec![], vec![], vec![]);
+            return Self { size: n, half_extent: map.half_extent, pixel, depth, normal, ring, nearest };
+        }
         let mut depth = map.depth.clone();
         let mut normal = map.normal.clone();
 
@@ -231,7 +235,7 @@ fn clamped(slope: [f64; 2]) -> [f64; 2] {
     if length > STEEPEST { slope.map(|s| s * STEEPEST / length) } else { slope }
 }
 
-/// For each pixel the nearest one of ring 0, exactly, by two passes over rows and columns; empty if there is none.
+/// For each pixel the nearest one of ring 0, of which there is one, exactly, by two passes over rows and columns.
 fn nearest_inside(n: usize, ring: &[u8]) -> Vec<u32> {
     // Nearest mask pixel within each row, then the best row for each column.
     let mut in_row = vec![u32::MAX; n * n];
@@ -257,9 +261,6 @@ fn nearest_inside(n: usize, ring: &[u8]) -> Vec<u32> {
                 }
             }
         }
-    }
-    if in_row.iter().all(|&q| q == u32::MAX) {
-        return vec![];
     }
     let mut nearest = vec![0; n * n];
     for c in 0..n {

@@ -30,6 +30,6 @@ pub use knots::{Basis, KnotVector, MAX_DEGREE};
 pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};
 pub use ray::{RayCaster, RayHit};
-pub use refine::{LayerSample, RefineOptions, RefineReport, Refined, SurfaceTargets, energy, refine};
+pub use refine::{LayerSample, RefineOptions, RefineReport, Refined, SurfaceTargets, refine, refine_best};
 pub use tessellate::SurfaceMesh;
 pub use unfold::unfolded_net;

@@ -46,7 +46,7 @@ pub struct RefineOptions {
     pub fairness: f64,
     /// How strongly the result stays at the start where nothing else is known: 1 is weak, 100 moves only what it must.
     pub closeness: f64,
-    /// Gauss-Newton steps, at most.
+    /// Gauss-Newton steps, at most, and up to eight more while the surface folds over; 0 leaves the start as it is.
     pub iterations: usize,
 }
 
@@ -65,7 +65,8 @@ pub struct RefineReport {
     pub energy: [f64; 2],
     /// Distance from the border strokes to the surface's projected border: mean and largest, pixels.
     pub border_px: [f64; 2],
-    /// Distance from the contour strokes to the surface's silhouette: mean and largest, pixels; zero without contours.
+    /// Distance from the contour strokes to the surface's silhouette, or, where a border stroke runs within a pixel of the contour, to
+    /// the nearer of silhouette and border: mean and largest, pixels; zero without contours.
     pub contour_px: [f64; 2],
     /// Distance from the surface's silhouette to the nearest contour or border stroke: mean and largest, pixels; zero
     /// without silhouette. Large where the surface folds, or bulges over a stroke, without the sketch drawing it.
@@ -117,6 +118,9 @@ const CONTOUR_WEIGHT: f64 = 0.5;
 /// Contour strokes to silhouette, mean over the strokes: every part of a stroke is there. On 40 held-out folds 8 leaves
 /// 0.36 px, 2 leaves 0.57.
 const COVERING_WEIGHT: f64 = 8.0;
+/// A contour this near to the border, in map pixels, one pixel of the 256 canvas: what lies between is too thin to be seen, so that
+/// the border is the outline there as well as a silhouette would be. Pulling silhouettes there tore them from where they belong.
+const ALONG_BORDER: f64 = 0.25;
 /// Distance of the places that are looked at, map pixels.
 const COVERING_STEP: f64 = 0.5;
 /// Each depth sample.
@@ -146,10 +150,12 @@ const FOOT_WINDOW: f64 = 0.12;
 const SAMPLE_STEEPEST: f64 = 0.2;
 /// Factor on the evenness in the first step; each later step divides it by 8.
 const FIRST_STIFFNESS: f64 = 64.0;
-/// Gauss-Newton steps that are kept for unfolding: as many as the factor on facing can grow.
-const UNFOLDING_ROUNDS: usize = 3;
+/// Gauss-Newton steps beyond the host's number that are taken where folds remain.
+const UNFOLDING_ROUNDS: usize = 8;
+/// Conjugate gradient steps for one of these: what unfolds is stiff, and the preconditioner does not know it.
+const UNFOLDING_CG_STEPS: usize = 40;
 /// Conjugate gradient steps for one Gauss-Newton step, and the share of the preconditioned residual that remains.
-const CG_STEPS: usize = 14;
+const CG_STEPS: usize = 10;
 const CG_TOLERANCE: f64 = 0.1;
 /// Samples whose (S_u x S_v).z / (|S_u| |S_v|) is nearer to 0 show neither side: they are seen edge-on, or a corner of the patch
 /// lies where the outline is smooth, so that S_u and S_v are nearly parallel and the sign is noise.
@@ -171,6 +177,10 @@ const SLIVER_END: f64 = 0.1;
 /// Facing that is asked for where one side alone is drawn: (S_u x S_v).z / (|S_u| |S_v|). Just enough that rounding and the
 /// samples' distance leave no turn between them; steep places are no mistake.
 const LEAST_FACING: f64 = 0.03;
+/// Of two layers that show different sides the one tells the side that is nearer by this factor.
+const NEARER: f64 = 0.3;
+/// Marks map pixels where the sketch draws both sides, each on its layer.
+const BOTH: f64 = 2.0;
 /// A relative decrease of the energy below this ends the iteration.
 const CONVERGED: f64 = 2e-2;
 /// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
@@ -203,16 +213,37 @@ pub fn refine(
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    Refiner::new(start, targets, options)?.run(options.iterations, control)
+    refine_best(std::slice::from_ref(start), targets, options, control)
 }
 
-/// The energy of `start` that [`refine`] would begin with: tells which of several starts fits the targets best.
+/// [`refine`] from the one of several starts, all on the same knots, that has the least energy; the first of equals.
 ///
 /// # Errors
-/// As [`refine`].
-pub fn energy(start: &NurbsSurface, targets: &SurfaceTargets, options: &RefineOptions) -> Result<f64, Error> {
-    let refiner = Refiner::new(start, targets, options)?;
-    Ok(refiner.linearize(&refiner.start).energy)
+/// As [`refine`]; [`Error::Degenerate`] without a start, [`Error::Nurbs`] for different knots.
+pub fn refine_best(
+    starts: &[NurbsSurface],
+    targets: &SurfaceTargets,
+    options: &RefineOptions,
+    control: &Control,
+) -> Result<Refined, Error> {
+    let (first, others) =
+        starts.split_first().ok_or_else(|| Error::Degenerate { reason: "refinement has no start".into() })?;
+    let mut refiner = Refiner::new(first, targets, options)?;
+    if !others.is_empty() {
+        let mut best = (refiner.linearize(&refiner.start).energy, first);
+        for start in others {
+            if start.knots() != &refiner.knots || start.weights().is_some() {
+                return Err(Error::Nurbs { reason: "starts of one refinement differ in their knots".into() });
+            }
+            refiner.begin(start);
+            let energy = refiner.linearize(&refiner.start).energy;
+            if energy < best.0 {
+                best = (energy, start);
+            }
+        }
+        refiner.begin(best.1);
+    }
+    refiner.run(options.iterations, control)
 }
 
 impl LayerMaps {
@@ -222,6 +253,9 @@ impl LayerMaps {
     /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
     pub fn meeting(&self, samples: &[LayerSample]) -> Self {
         let correct = |map: &LayerMap, occluded: bool| {
+            if samples.iter().all(|sample| sample.occluded != occluded) {
+                return map.clone();
+            }
             let sides = [map.side(true), map.side(false)];
             let known: Vec<([f64; 2], f64)> = samples
                 .iter()
@@ -275,8 +309,7 @@ struct Refiner<'a> {
     stroke_occluded: [Vec<bool>; 4],
     /// For each stroke point the side that the surface shows at the border, 1 or -1, where a contour beside it tells, else 0.
     stroke_facing: [Vec<f64>; 4],
-    /// Contour strokes, each with the side of its normals (1 or -1) on which the surface lies.
-    contours: Vec<(Polyline, f64)>,
+    contours: Vec<Contour>,
     start: Vec<f64>,
     /// Arc-length shares of the start's border samples on each side.
     shares: [Vec<f64>; 4],
@@ -291,6 +324,15 @@ struct Refiner<'a> {
     /// Fairness plus evenness times stiffness, for x and y, and for z.
     regularity: [[Banded; 2]; 2],
     preconditioner: [FastDiagonal; 2],
+}
+
+/// A contour stroke.
+struct Contour {
+    line: Polyline,
+    /// The side of its normals (1 or -1) on which the surface lies.
+    side: f64,
+    /// Places of the stroke, evenly spaced, that the silhouette should cover: not those along the border, see [`ALONG_BORDER`].
+    places: Vec<[f64; 2]>,
 }
 
 /// The energy at one net and its quadratic model: half the gradient, and what its Gauss-Newton Hessian is made of.
@@ -430,7 +472,7 @@ impl<'a> Refiner<'a> {
             stroke_occluded,
             stroke_facing: Default::default(),
             contours: vec![],
-            start: planes_of(start),
+            start: vec![],
         };
         refiner.stiffen(1.0);
         refiner.contours = targets
@@ -439,15 +481,24 @@ impl<'a> Refiner<'a> {
             .map(|line| Polyline::new(line.iter().copied()))
             .filter(|line| line.points.len() > 1)
             .map(|line| {
-                let side = refiner.inner_side(&line);
-                (line, side)
+                let step = COVERING_STEP * targets.maps.visible.pixel();
+                let count = (line.length() / step).ceil().max(1.0) as usize;
+                let places = (0..=count).map(|i| line.at(line.length() * i as f64 / count as f64));
+                let places = places.filter(|p| !refiner.along_border(*p)).collect();
+                Contour { side: refiner.inner_side(&line), line, places }
             })
             .collect();
         refiner.drawn_facing = refiner.draw_facing();
         refiner.stroke_facing = refiner.strokes.each_ref().map(|stroke| refiner.facing_along(stroke));
-        let planes = refiner.planes(&refiner.start);
-        refiner.shares = [0, 1, 2, 3].map(|side| Self::arc_shares(&planes, &refiner.side_samples(side)));
+        refiner.begin(start);
         Ok(refiner)
+    }
+
+    /// Takes another start with the same knots.
+    fn begin(&mut self, start: &NurbsSurface) {
+        self.start = planes_of(start);
+        let planes = self.planes(&self.start);
+        self.shares = [0, 1, 2, 3].map(|side| Self::arc_shares(&planes, &self.side_samples(side)));
     }
 
     fn stiffen(&mut self, stiffness: f64) {
@@ -468,9 +519,10 @@ impl<'a> Refiner<'a> {
         // The net with the fewest folds, the latest of these: large steps may fold for a moment, the result must not.
         let mut flattest = (model.folds, net.clone());
         let mut taken = 0;
-        for round in 0..iterations {
-            control.step("refine", round as f64 / iterations as f64)?;
-            let step = self.solve(&model);
+        let rounds = if iterations == 0 { 0 } else { iterations + UNFOLDING_ROUNDS };
+        for round in 0..rounds {
+            control.step("refine", (round as f64 / iterations as f64).min(1.0))?;
+            let step = self.solve(&model, unfolding);
             let mut scale = 1.0;
             let accepted = loop {
                 let candidate: Vec<f64> = net.iter().zip(&step).map(|(x, d)| x + scale * d).collect();
@@ -497,18 +549,14 @@ impl<'a> Refiner<'a> {
                 self.regularize(&net, &mut model);
                 continue;
             }
-            if converged || round + UNFOLDING_ROUNDS >= iterations {
-                unfolding = true;
-                if model.folds == 0 {
-                    if converged {
-                        break;
-                    }
-                } else if self.facing < HIGHEST_FACING {
-                    self.facing *= FACING_GROWTH;
-                    model = self.linearize(&net);
-                } else if converged {
-                    break;
-                }
+            let done = converged || round + 1 >= iterations;
+            if done && (model.folds == 0 || (converged && self.facing >= HIGHEST_FACING)) {
+                break;
+            }
+            unfolding |= done;
+            if unfolding && model.folds > 0 && self.facing < HIGHEST_FACING {
+                self.facing *= FACING_GROWTH;
+                model = self.linearize(&net);
             }
         }
         if model.folds > flattest.0 {
@@ -554,7 +602,12 @@ impl<'a> Refiner<'a> {
                     pixels.fold(f64::INFINITY, f64::min)
                 };
                 let (front, back) = (distance([0, 2]), distance([1, 3]));
-                if self.beside_contour(p) || (front - back).abs() < CREASE_REACH || front.min(back).is_infinite() {
+                let unclear = (front - back).abs() < CREASE_REACH || front.min(back).is_infinite();
+                if self.beside_contour(p) {
+                    0.0
+                } else if front.max(back) <= 0.5 {
+                    BOTH
+                } else if unclear {
                     0.0
                 } else {
                     (back - front).signum()
@@ -563,37 +616,74 @@ impl<'a> Refiner<'a> {
             .collect()
     }
 
-    /// The border runs with its sheet on the left where that shows its front: a contour close by on the left bounds a front.
+    /// The border runs with its sheet on the left where that shows its front: the side with one layer more, or, where a strip is too
+    /// thin for the maps, the side on which a contour bounds it.
     fn facing_along(&self, stroke: &Polyline) -> Vec<f64> {
         let pixel = self.targets.maps.visible.pixel();
         let points = &stroke.points;
         let at = |i: usize| {
             let (a, b, p) = (points[i.saturating_sub(1)], points[(i + 1).min(points.len() - 1)], points[i]);
-            let feet = self.contours.iter().filter_map(|(line, _)| line.nearest(p, [0.0, f64::INFINITY]));
+            let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
             let nearest = feet.min_by(|a, b| a.distance.total_cmp(&b.distance));
-            let beside = nearest.filter(|foot| (SLIVER_END..SLIVER_WIDTH).contains(&(foot.distance / pixel)));
-            beside.map_or(0.0, |foot| {
-                let (d, e) = ([0, 1].map(|c| b[c] - a[c]), [0, 1].map(|c| foot.position[c] - p[c]));
+            let d = [0, 1].map(|c| b[c] - a[c]);
+            if let Some(foot) = nearest.filter(|foot| foot.distance < CREASE_REACH * pixel) {
+                if !(SLIVER_END..SLIVER_WIDTH).contains(&(foot.distance / pixel)) {
+                    return 0.0;
+                }
+                let e = [0, 1].map(|c| foot.position[c] - p[c]);
                 let (along, across) = (d[0] * e[0] + d[1] * e[1], d[0] * e[1] - d[1] * e[0]);
                 // Ahead or behind is only an end of the contour.
-                if across.abs() > along.abs() { across.signum() } else { 0.0 }
-            })
+                return if across.abs() > along.abs() { across.signum() } else { 0.0 };
+            }
+            let reach = pixel / d[0].hypot(d[1]).max(f64::MIN_POSITIVE);
+            let layers = |sign: f64| {
+                let beside = [p[0] - sign * reach * d[1], p[1] + sign * reach * d[0]];
+                let exists =
+                    |side: usize| self.map_sides[side].outside(beside).is_some_and(|(_, pixels)| pixels <= 0.5);
+                i32::from(exists(0) || exists(1)) + i32::from(exists(2) || exists(3))
+            };
+            f64::from((layers(1.0) - layers(-1.0)).signum())
         };
         (0..points.len()).map(at).collect()
+    }
+
+    /// Whether a border stroke is so near that it is the outline as well as a contour here.
+    fn along_border(&self, p: [f64; 2]) -> bool {
+        let reach = ALONG_BORDER * self.targets.maps.visible.pixel();
+        let feet = self.strokes.iter().filter_map(|stroke| stroke.nearest(p, [0.0, f64::INFINITY]));
+        feet.map(|foot| foot.distance).any(|distance| distance < reach)
     }
 
     /// Whether a contour stroke is so near that the surface may turn here.
     fn beside_contour(&self, p: [f64; 2]) -> bool {
         let reach = CREASE_REACH * self.targets.maps.visible.pixel();
-        let feet = self.contours.iter().filter_map(|(line, _)| line.nearest(p, [0.0, f64::INFINITY]));
+        let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
         feet.map(|foot| foot.distance).any(|distance| distance < reach)
     }
 
-    /// 1 or -1 where the sketch draws the front or the back alone, else 0.
-    fn facing_at(&self, p: [f64; 2]) -> f64 {
+    /// 1 or -1 where the sketch draws the front or the back alone, or, where it draws both, one of them is much nearer; else 0.
+    fn facing_at(&self, p: Vector3<f64>) -> f64 {
         let map = &self.targets.maps.visible;
-        let [column, row] = map.to_pixels(p).map(|x| x.round().clamp(0.0, (map.size - 1) as f64) as usize);
-        self.drawn_facing[row * map.size + column]
+        let [column, row] = map.to_pixels([p.x, p.y]).map(|x| x.round().clamp(0.0, (map.size - 1) as f64) as usize);
+        let drawn = self.drawn_facing[row * map.size + column];
+        if drawn < BOTH {
+            return drawn;
+        }
+        if self.facing == 1.0 {
+            return 0.0;
+        }
+        let off = |sides: [usize; 2]| {
+            let samples = sides.iter().filter_map(|&side| self.map_sides[side].sample([p.x, p.y]));
+            samples.map(|sample| (p.z + sample.depth).abs()).fold(f64::INFINITY, f64::min)
+        };
+        let (front, back) = (off([0, 2]), off([1, 3]));
+        if front < NEARER * back {
+            1.0
+        } else if back < NEARER * front {
+            -1.0
+        } else {
+            0.0
+        }
     }
 
     /// Where the maps want a surface point: the tangent plane of the nearest layer that shows its side.
@@ -661,11 +751,12 @@ impl<'a> Refiner<'a> {
                 let normal = cross / cross.norm().max(f64::MIN_POSITIVE);
                 let area = (du.norm() * dv.norm()).max(f64::MIN_POSITIVE);
                 facings.push(cross.z / area);
-                let drawn = self.facing_at([p.x, p.y]);
+                let drawn = self.facing_at(p);
+                let even = FACING_WEIGHT * self.facing / ((mu - 1) * (mv - 1)) as f64;
                 let (asked, weight) = if border_facing[k] == 0.0 {
-                    (drawn, full * FACING_WEIGHT * self.facing)
+                    (drawn, even)
                 } else {
-                    (border_facing[k], RIM_FACING_WEIGHT / (2 * (mu + mv)) as f64)
+                    (border_facing[k], even.max(RIM_FACING_WEIGHT / (2 * (mu + mv)) as f64))
                 };
                 let lack = LEAST_FACING - asked * cross.z / area;
                 if asked != 0.0 && lack > 0.0 {
@@ -901,7 +992,7 @@ impl<'a> Refiner<'a> {
             let foot = self
                 .contours
                 .iter()
-                .filter_map(|(line, side)| Some((line.nearest(point.position, [0.0, f64::INFINITY])?, side)))
+                .filter_map(|c| Some((c.line.nearest(point.position, [0.0, f64::INFINITY])?, c.side)))
                 .min_by(|a, b| a.0.distance.total_cmp(&b.0.distance));
             let Some((foot, side)) = foot else { continue };
             // A ripple has two silhouettes; only one of them bends to the side where the sketch shows the fold.
@@ -924,18 +1015,10 @@ impl<'a> Refiner<'a> {
     /// Every place of the contour strokes has silhouette near it: a fold must not be ironed out, nor end early.
     fn covering_term(&self, points: &[silhouette::SilhouettePoint], rows: &mut Vec<Row>) -> f64 {
         let pieces = silhouette::pieces(points, &self.grid);
-        let step = COVERING_STEP * self.targets.maps.visible.pixel();
-        let places: Vec<[f64; 2]> = self
-            .contours
-            .iter()
-            .flat_map(|(line, _)| {
-                let count = (line.length() / step).ceil().max(1.0) as usize;
-                (0..=count).map(move |i| line.at(line.length() * i as f64 / count as f64))
-            })
-            .collect();
-        let weight = COVERING_WEIGHT / places.len().max(1) as f64;
+        let places = || self.contours.iter().flat_map(|contour| &contour.places);
+        let weight = COVERING_WEIGHT / places().count().max(1) as f64;
         let mut energy = 0.0;
-        for p in places {
+        for &p in places() {
             let (nearest, distance) = Self::nearest_piece(p, points, &pieces)
                 .map_or((None, 2.0 * self.targets.maps.visible.half_extent), |(nearest, d)| (Some(nearest), d));
             let ratio = (distance / ROBUST_CONTOUR).powi(2);
@@ -1023,22 +1106,21 @@ impl<'a> Refiner<'a> {
     /// - `facings`: (S_u x S_v).z / (|S_u| |S_v|) of each sample.
     fn count_folds(&self, facings: &[f64], planes: &[GridPlanes; 3]) -> usize {
         let (mu, mv) = (self.grid.axes[0].len(), self.grid.axes[1].len());
-        let beside: Vec<bool> =
-            (0..facings.len()).map(|k| self.beside_contour([planes[0].value[k], planes[1].value[k]])).collect();
-        let turns = |line: &mut dyn Iterator<Item = usize>| {
-            let (mut last, mut drawn, mut count) = (0.0, false, 0);
-            for k in line {
-                drawn |= beside[k];
-                if facings[k].abs() < DECIDED {
-                    continue;
+        let beside = |k: usize| self.beside_contour([planes[0].value[k], planes[1].value[k]]);
+        // Along the samples first, first + stride, ...
+        let turns = |first: usize, stride: usize, samples: usize| {
+            let at = |i: usize| first + i * stride;
+            let (mut last, mut count) = (None, 0);
+            for i in (0..samples).filter(|&i| facings[at(i)].abs() >= DECIDED) {
+                if let Some(j) = last.replace(i) {
+                    let turned = facings[at(j)] * facings[at(i)] < 0.0;
+                    count += usize::from(turned && !(j..=i).any(|between| beside(at(between))));
                 }
-                count += usize::from(last * facings[k] < 0.0 && !drawn);
-                (last, drawn) = (facings[k], beside[k]);
             }
             count
         };
-        let rows: usize = (0..mu).map(|a| turns(&mut (a * mv..(a + 1) * mv))).sum();
-        let columns: usize = (0..mv).map(|b| turns(&mut (b..mu * mv).step_by(mv))).sum();
+        let rows: usize = (0..mu).map(|a| turns(a * mv, 1, mv)).sum();
+        let columns: usize = (0..mv).map(|b| turns(b, mv, mu)).sum();
         rows + columns
     }
 
@@ -1117,7 +1199,10 @@ impl<'a> Refiner<'a> {
     }
 
     /// The Gauss-Newton step: H step = -gradient, by preconditioned conjugate gradients, inexactly.
-    fn solve(&self, model: &Model) -> Vec<f64> {
+    ///
+    /// - `unfolding`: whether folds are being smoothed out.
+    fn solve(&self, model: &Model, unfolding: bool) -> Vec<f64> {
+        let steps = if unfolding { UNFOLDING_CG_STEPS } else { CG_STEPS };
         let size = model.gradient.len();
         let n = size / 3;
         let mut work = Work { planes: Default::default(), turned: vec![], scratch: vec![0.0; n] };
@@ -1135,7 +1220,7 @@ impl<'a> Refiner<'a> {
         let mut product = vec![0.0; size];
         let mut rho = dot(&residual, &z);
         let target = rho * CG_TOLERANCE * CG_TOLERANCE;
-        for _ in 0..CG_STEPS {
+        for _ in 0..steps {
             if rho.is_nan() || rho <= target || rho == 0.0 {
                 break;
             }
@@ -1172,17 +1257,19 @@ impl<'a> Refiner<'a> {
             [mean / pixel, distances.iter().copied().fold(0.0, f64::max) / pixel]
         };
 
-        let mut distances = vec![];
-        for side in 0..4 {
-            let curve = Polyline::new((0..=200).map(|i| {
+        let curves = [0, 1, 2, 3].map(|side: usize| {
+            Polyline::new((0..=200).map(|i| {
                 let t = i as f64 / 200.0;
                 let [s, t] = [[t, 0.0], [1.0, t], [1.0 - t, 1.0], [0.0, 1.0 - t]][side];
                 let [u, v] = surface.at_fraction(s, t);
                 let p = surface.point(u, v);
                 [p.x, p.y]
-            }));
-            let points = self.strokes[side].points.iter();
-            distances.extend(points.filter_map(|&p| curve.nearest(p, whole)).map(|foot| foot.distance));
+            }))
+        });
+        let mut distances = vec![];
+        for (stroke, curve) in self.strokes.iter().zip(&curves) {
+            let feet = stroke.points.iter().filter_map(|&p| curve.nearest(p, whole));
+            distances.extend(feet.map(|foot| foot.distance));
         }
         let border_px = summarize(&distances);
 
@@ -1190,14 +1277,20 @@ impl<'a> Refiner<'a> {
         let points = silhouette::crossings(surface, &self.grid, &facing);
         let pieces = silhouette::pieces(&points, &self.grid);
         let mut distances = vec![];
-        for (line, _) in &self.contours {
-            let nearest = |p: &[f64; 2]| Self::nearest_piece(*p, &points, &pieces).map(|(_, distance)| distance);
-            // No silhouette at all: as far as the canvas is wide.
-            let widest = 2.0 * self.targets.maps.visible.half_extent;
-            distances.extend(line.points.iter().map(|p| nearest(p).unwrap_or(widest)));
+        // No silhouette at all: as far as the canvas is wide.
+        let widest = 2.0 * self.targets.maps.visible.half_extent;
+        for &p in self.contours.iter().flat_map(|contour| &contour.line.points) {
+            let silhouette = Self::nearest_piece(p, &points, &pieces).map_or(widest, |(_, distance)| distance);
+            let border = if self.along_border(p) {
+                let feet = curves.iter().filter_map(|curve| curve.nearest(p, whole));
+                feet.map(|foot| foot.distance).fold(widest, f64::min)
+            } else {
+                widest
+            };
+            distances.push(silhouette.min(border));
         }
         let contour_px = summarize(&distances);
-        let lines = || self.contours.iter().map(|(line, _)| line).chain(&self.strokes);
+        let lines = || self.contours.iter().map(|contour| &contour.line).chain(&self.strokes);
         let to_strokes = |point: &silhouette::SilhouettePoint| {
             let feet = lines().filter_map(|line| line.nearest(point.position, whole));
             feet.map(|foot| foot.distance).fold(f64::INFINITY, f64::min)
@@ -1375,7 +1468,7 @@ mod tests {
         let scene = synthetic::scene(synthetic::vault());
         let targets = targets(&scene);
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
-        let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps).unwrap();
+        let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps, 1.0).unwrap();
         let unfolded = NurbsSurface::new(curves.knots, net, None).unwrap();
         // Rms and largest deviation, mean and largest miss of border and contours, pixels.
         let far = (start_of(&scene, 0.3), [0.03, 0.2], [0.3, 3.0]);
@@ -1458,7 +1551,7 @@ mod tests {
         let mut at = |offset: f64| {
             targets.samples = vec![LayerSample { position: [-2.0, -1.0], occluded: false, depth: visible + offset }];
             let maps = targets.maps.meeting(&targets.samples);
-            let net = unfolded_net(&targets.border, &curves, &targets.contours, &maps).unwrap();
+            let net = unfolded_net(&targets.border, &curves, &targets.contours, &maps, 1.0).unwrap();
             run(&NurbsSurface::new(curves.knots.clone(), net, None).unwrap(), &targets).surface
         };
         // How far the surface moves, not its parameters, which no one sees.
@@ -1544,6 +1637,48 @@ mod tests {
         let offset =
             (foot.position[0] - point.position[0]) * normal.x + (foot.position[1] - point.position[1]) * normal.y;
         assert!((offset - expected).abs() < 0.15 * expected, "{offset} {expected}");
+    }
+
+    #[test]
+    fn fairness_irons_out_waves_and_closeness_keeps_the_start() {
+        let scene = synthetic::scene(synthetic::dome());
+        let mut targets = targets(&scene);
+        // Eight waves a side, a twentieth of a unit high.
+        for k in 0..targets.maps.visible.depth.len() {
+            let [x, y] = targets.maps.visible.center(k);
+            targets.maps.visible.depth[k] += 0.05 * (7.0 * x).sin() * (7.0 * y).cos();
+        }
+        let start = start_of(&scene, 0.05);
+        let with = |fairness: f64, closeness: f64| {
+            let options = RefineOptions { fairness, closeness, ..RefineOptions::default() };
+            refine(&start, &targets, &options, &Control::default()).unwrap().surface
+        };
+        let off = |surface: &NurbsSurface| deviation(surface, &scene.truth)[0];
+        let [rough, usual, smooth] = [0.01, 1.0, 100.0].map(|fairness| off(&with(fairness, 1.0)));
+        assert!(smooth < 0.5 * usual && usual < rough, "{rough} {usual} {smooth}");
+        let moved = |surface: &NurbsSurface| {
+            let pairs = surface.control_points().iter().zip(start.control_points());
+            pairs.map(|(p, q)| (p - q).norm_squared()).sum::<f64>().sqrt()
+        };
+        let [free, held, fixed] = [0.0, 100.0, 1e7].map(|closeness| moved(&with(1.0, closeness)));
+        assert!(held < free && fixed < 1e-2 * free, "{free} {held} {fixed}");
+    }
+
+    #[test]
+    fn of_several_starts_the_nearest_is_taken() {
+        let scene = synthetic::scene(synthetic::saddle());
+        let targets = targets(&scene);
+        let starts = [start_of(&scene, 0.8), start_of(&scene, 0.05)];
+        let best =
+            |starts: &[NurbsSurface]| refine_best(starts, &targets, &RefineOptions::default(), &Control::default());
+        let alone = run(&starts[1], &targets);
+        for order in [[0, 1], [1, 0]] {
+            let refined = best(&order.map(|k| starts[k].clone())).unwrap();
+            assert_eq!((refined.surface, refined.report), (alone.surface.clone(), alone.report));
+        }
+        assert!(matches!(best(&[]), Err(Error::Degenerate { .. })));
+        let coarse = NurbsSurface::uniform(3, [10, 90], starts[0].control_points().to_vec()).unwrap();
+        assert!(matches!(best(&[starts[0].clone(), coarse]), Err(Error::Nurbs { .. })));
     }
 
     #[test]

@@ -120,7 +120,12 @@ pub struct Polyline {
     pub points: Vec<[f64; 2]>,
     /// Arc length from the start to each vertex.
     pub lengths: Vec<f64>,
+    /// Low and high corner of each run of [`RUN`] segments.
+    boxes: Vec<[[f64; 2]; 2]>,
 }
+
+/// Segments that are looked at together in the search for the nearest one.
+const RUN: usize = 8;
 
 /// The point of a polyline nearest to another point.
 #[derive(Clone, Copy, Debug)]
@@ -145,7 +150,15 @@ impl Polyline {
                 kept.push(p);
             }
         }
-        Self { points: kept, lengths }
+        let boxes = (0..kept.len().saturating_sub(1))
+            .step_by(RUN)
+            .map(|first| {
+                let run = &kept[first..=(first + RUN).min(kept.len() - 1)];
+                let extreme = |f: fn(f64, f64) -> f64| [0, 1].map(|c| run.iter().map(|p| p[c]).fold(run[0][c], f));
+                [extreme(f64::min), extreme(f64::max)]
+            })
+            .collect();
+        Self { points: kept, lengths, boxes }
     }
 
     /// Whole length.
@@ -167,14 +180,30 @@ impl Polyline {
         let first = self.lengths.partition_point(|&l| l < window[0]).saturating_sub(1).min(segments - 1);
         let last = self.lengths.partition_point(|&l| l <= window[1]).clamp(first + 1, segments);
         let mut best = (f64::INFINITY, first, 0.0);
-        for i in first..last {
-            let (a, b) = (self.points[i], self.points[i + 1]);
-            let d = [b[0] - a[0], b[1] - a[1]];
-            let e = [p[0] - a[0], p[1] - a[1]];
-            let t = ((d[0] * e[0] + d[1] * e[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
-            let squared = (e[0] - t * d[0]).powi(2) + (e[1] - t * d[1]).powi(2);
-            if squared < best.0 {
-                best = (squared, i, t);
+        let look_at = |run: usize, best: &mut (f64, usize, f64)| {
+            for i in (run * RUN).max(first)..(run * RUN + RUN).min(last) {
+                let (a, b) = (self.points[i], self.points[i + 1]);
+                let d = [b[0] - a[0], b[1] - a[1]];
+                let e = [p[0] - a[0], p[1] - a[1]];
+                let t = ((d[0] * e[0] + d[1] * e[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
+                let squared = (e[0] - t * d[0]).powi(2) + (e[1] - t * d[1]).powi(2);
+                if squared < best.0 {
+                    *best = (squared, i, t);
+                }
+            }
+        };
+        let runs = first / RUN..(last - 1) / RUN + 1;
+        let least = |run: usize| {
+            let [low, high] = self.boxes[run];
+            let apart = |c: usize| (low[c] - p[c]).max(p[c] - high[c]).max(0.0);
+            apart(0).powi(2) + apart(1).powi(2)
+        };
+        // The run that may be nearest tells of most others that they are not.
+        let likely = runs.clone().min_by(|&a, &b| least(a).total_cmp(&least(b)))?;
+        look_at(likely, &mut best);
+        for run in runs.filter(|&run| run != likely) {
+            if least(run) < best.0 {
+                look_at(run, &mut best);
             }
         }
         let (squared, i, t) = best;
@@ -186,5 +215,43 @@ impl Polyline {
         let length = d[0].hypot(d[1]);
         let position = [a[0] + t * d[0], a[1] + t * d[1]];
         Some(PolylineFoot { position, normal: [-d[1] / length, d[0] / length], distance: squared.sqrt() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn the_nearest_point_is_that_of_all_segments() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut place = |reach: f64| [0, 1].map(|_| reach * (random.random::<f64>() - 0.5));
+        for count in [2, 3, 9, 10, 100] {
+            let mut at = [0.0; 2];
+            let points = (0..count).map(|_| {
+                let step = place(1.0);
+                at = [at[0] + step[0], at[1] + step[1]];
+                at
+            });
+            let line = Polyline::new(points.collect::<Vec<_>>());
+            for _ in 0..50 {
+                let p = place(8.0);
+                let [low, high] = [0, 1].map(|_| place(1.0)[0] + 0.5).map(|share| share * line.length());
+                let window = [low.min(high), low.max(high)];
+                for window in [[0.0, f64::INFINITY], window] {
+                    // Whole segments count, those that the window touches.
+                    let touched = (0..line.points.len() - 1)
+                        .filter(|&i| line.lengths[i + 1] >= window[0] && line.lengths[i] <= window[1]);
+                    let distances = touched.map(|i| nearest_on_segment(p, line.points[i], line.points[i + 1]).1);
+                    let nearest = distances.fold(f64::INFINITY, f64::min);
+                    let foot = line.nearest(p, window).unwrap();
+                    assert!((foot.distance - nearest).abs() < 1e-12);
+                    assert!(((foot.position[0] - p[0]).hypot(foot.position[1] - p[1]) - nearest).abs() < 1e-12);
+                }
+            }
+        }
+        assert!(Polyline::new([[1.0, 2.0]]).nearest([0.0; 2], [0.0, 1.0]).is_none());
     }
 }

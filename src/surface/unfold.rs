@@ -27,13 +27,15 @@ const SMOOTHING: f64 = 1e-8;
 ///
 /// Every pixel of a layer is a vertex. Neighbours are joined across the regions by what the strokes say: a visible border
 /// ends the visible sheet and the occluded one comes to light beyond it, an occluded border ends the occluded sheet, and at
-/// a contour the two layers of a pixel are joined to each other, through the air between them. That graph is a disk; its
+/// a contour the two layers of a pixel are joined to each other, through the air between them. Where the strip between a
+/// contour and the border behind it is thinner than a pixel, the pixel before the contour is held by that border. That graph is a disk; its
 /// rim lies on the border strokes, whose parameters are known. A discretely harmonic map, in the metric of the normals,
 /// spreads the parameters over the disk, which no fold of the canvas disturbs, and a smooth net is fitted to the pixels'
 /// points over them. All weights are positive, so the map is the embedding of Tutte and Floater where the graph is planar.
 ///
 /// - `contours`: contour strokes, polylines (x, y).
 /// - `maps`: both layers, corrected to the depth samples if there are any.
+/// - `smoothness`: 1 is balanced; 10 irons out waves twice as long as 1 does not touch, where parameter lines would jam.
 /// - returns count_u * count_v points, v running fastest, canonical frame; the rim is that of `curves`.
 ///
 /// # Errors
@@ -46,10 +48,11 @@ pub fn unfolded_net(
     curves: &BorderCurves,
     contours: &[Vec<[f64; 2]>],
     maps: &LayerMaps,
+    smoothness: f64,
 ) -> Result<Vec<Point3<f64>>, Error> {
     let sheet = Sheet::new(border, curves, contours, maps);
     let parameters = sheet.flatten()?;
-    fit(curves, &sheet.samples(&parameters))
+    fit(curves, &sheet.samples(&parameters), SMOOTHING * smoothness)
 }
 
 /// Where a stroke crosses the line between the centres of two neighbouring pixels.
@@ -65,6 +68,8 @@ struct Crossing {
 enum Line {
     Border {
         parameters: [f64; 2],
+        /// Depth of the border, -z.
+        depth: f64,
         occluded: bool,
         /// Whether the line's first pixel lies on the left of the border.
         left: bool,
@@ -81,11 +86,15 @@ struct Sheet<'a> {
     count: usize,
     /// Layer and pixel of each vertex.
     places: Vec<(usize, usize)>,
+    /// Conductances of each vertex in x, in y, and along the diagonal.
+    conductances: Vec<[f64; 3]>,
     links: Vec<(u32, u32, f64)>,
     /// Vertices held by a point of the rim.
     held: Vec<(u32, [f64; 2], f64)>,
     /// The two vertices joined at a contour, and the point between them.
     turns: Vec<(u32, u32, Point3<f64>)>,
+    /// The vertex before a contour, and the parameters of the border behind it; the share of the way at the contour; its point.
+    rolled: Vec<(u32, [f64; 2], f64, Point3<f64>)>,
 }
 
 const NONE: u32 = u32::MAX;
@@ -103,7 +112,18 @@ impl<'a> Sheet<'a> {
             ids
         });
         let count = places.len();
-        let mut sheet = Self { maps, vertices, count, places, links: vec![], held: vec![], turns: vec![] };
+        let conductances = places.iter().map(|&(layer, pixel)| conductance(&maps[layer].normal[pixel])).collect();
+        let mut sheet = Self {
+            maps,
+            vertices,
+            count,
+            places,
+            conductances,
+            links: vec![],
+            held: vec![],
+            turns: vec![],
+            rolled: vec![],
+        };
         let crossings = crossings(maps[0], border, curves, contours);
         sheet.join(&crossings);
         sheet
@@ -123,32 +143,18 @@ impl<'a> Sheet<'a> {
         Point3::new(x, y, -self.maps[layer].depth[pixel])
     }
 
-    /// Conductance of the sheet at a vertex in x, in y, and along the diagonal: the tensor sqrt(det g) g^-1 of its metric
-    /// g, split into directions. The diagonal rises where the last is positive.
     fn conductance(&self, vertex: u32) -> [f64; 3] {
-        let (layer, pixel) = self.places[vertex as usize];
-        let normal: Vector3<f64> = self.maps[layer].normal[pixel];
-        let across = normal.x.hypot(normal.y);
-        if across < 1e-6 {
-            return [1.0, 1.0, 0.0];
-        }
-        let (ex, ey) = (normal.x / across, normal.y / across);
-        let facing = normal.z.abs().max(LEAST_FACING);
-        // Along the slope ways are longer by 1 / facing, across it the sheet is wider by as much.
-        let (along, wide) = (facing, 1.0 / facing);
-        let (xx, yy) = (along * ex * ex + wide * ey * ey, along * ey * ey + wide * ex * ex);
-        let limit = 0.9 * xx.min(yy);
-        let xy = ((along - wide) * ex * ey).clamp(-limit, limit);
-        [xx, yy, xy]
+        self.conductances[vertex as usize]
     }
 
     fn join(&mut self, crossings: &[Crossing]) {
         let n = self.maps[0].size;
-        let on = |link: usize| {
-            let first = crossings.partition_point(|c| c.link < link);
-            let last = crossings.partition_point(|c| c.link <= link);
-            &crossings[first..last]
-        };
+        let mut starts = vec![0; 2 * n * n + 1];
+        crossings.iter().for_each(|crossing| starts[crossing.link + 1] += 1);
+        for link in 0..2 * n * n {
+            starts[link + 1] += starts[link];
+        }
+        let on = |link: usize| &crossings[starts[link]..starts[link + 1]];
         for pixel in 0..n * n {
             let (row, column) = (pixel / n, pixel % n);
             for down in [0, 1] {
@@ -162,6 +168,11 @@ impl<'a> Sheet<'a> {
                         let single = between.len() == 1;
                         self.end(pixel, other, down, first.at, first.line, true, single);
                         self.end(other, pixel, down, 1.0 - last.at, last.line, false, single);
+                        if let [first, last] = between {
+                            self.roll(pixel, other, down, [first.at, last.at], [first.line, last.line], true);
+                            let at = [1.0 - last.at, 1.0 - first.at];
+                            self.roll(other, pixel, down, at, [last.line, first.line], false);
+                        }
                     }
                     _ => self.continue_freely(pixel, other, down),
                 }
@@ -241,7 +252,7 @@ impl<'a> Sheet<'a> {
                 }
                 self.turns.push((a, b, between));
             }
-            Line::Border { parameters, occluded, left } => {
+            Line::Border { parameters, occluded, left, .. } => {
                 let layer = usize::from(occluded);
                 let left = left == forward;
                 let (here, there) = (self.layers(p), self.layers(q));
@@ -262,6 +273,34 @@ impl<'a> Sheet<'a> {
         }
     }
 
+    /// From `p` on a single sheet outwards come first a border, then a contour, both before the next pixel: around the contour the
+    /// sheet rolls back to that border, in a strip too thin for the maps.
+    ///
+    /// - `at`: shares of the way to `q` at border and contour.
+    /// - `forward`: whether `p` is the first pixel of the link.
+    fn roll(&mut self, p: usize, q: usize, down: usize, at: [f64; 2], lines: [Line; 2], forward: bool) {
+        let [Line::Border { parameters, depth, left, .. }, Line::Contour(cosine)] = lines else { return };
+        // The strip lies beyond the border and shows the other side, and where a front is seen the sheet lies on the left.
+        let other_side = self.exists(0, p) && self.maps[0].front[p] == (left == forward);
+        if !other_side || self.layers(p) != 1 || self.layers(q) != 0 {
+            return;
+        }
+        let vertex = self.vertices[0][p];
+        let pixel = self.maps[0].pixel();
+        let point = self.point(vertex);
+        let there = at[1].max(LEAST_DISTANCE) / self.conductance(vertex)[down];
+        let back = ARC * (point.z + depth).hypot((at[1] - at[0]) * pixel) / (cosine.max(LEAST_DISTANCE) * pixel);
+        self.held.push((vertex, parameters, 1.0 / (there + back)));
+        let mut turn = Point3::new(point.x, point.y, 0.5 * (point.z - depth));
+        let step = if forward { at[1] } else { -at[1] } * pixel;
+        if down == 0 {
+            turn.x += step;
+        } else {
+            turn.y -= step;
+        }
+        self.rolled.push((vertex, parameters, there / (there + back), turn));
+    }
+
     /// Parameters (u, v) of all vertices: the harmonic map with the rim held.
     fn flatten(&self) -> Result<Vec<[f64; 2]>, Error> {
         let n = self.count;
@@ -273,9 +312,7 @@ impl<'a> Sheet<'a> {
             right[k] += weight * u;
             right[n + k] += weight * v;
         }
-        let mut below: Vec<(u32, u32, f64)> =
-            self.links.iter().filter(|(a, b, _)| a != b).map(|&(a, b, w)| (a.min(b), a.max(b), w)).collect();
-        below.sort_unstable_by_key(|&(a, b, _)| (a, b));
+        let mut below = self.sorted_links();
         below.dedup_by(|later, first| {
             let same = (later.0, later.1) == (first.0, first.1);
             if same {
@@ -305,6 +342,27 @@ impl<'a> Sheet<'a> {
         Ok((0..n).map(|k| [right[k], right[n + k]]).collect())
     }
 
+    /// All links from their lower to their higher vertex, sorted.
+    fn sorted_links(&self) -> Vec<(u32, u32, f64)> {
+        let mut starts = vec![0; self.count + 1];
+        let ordered = || self.links.iter().filter(|(a, b, _)| a != b).map(|&(a, b, w)| (a.min(b), a.max(b), w));
+        ordered().for_each(|(a, ..)| starts[a as usize + 1] += 1);
+        for vertex in 0..self.count {
+            starts[vertex + 1] += starts[vertex];
+        }
+        let mut next = starts.clone();
+        let mut sorted = vec![(0, 0, 0.0); starts[self.count]];
+        for link in ordered() {
+            let slot = &mut next[link.0 as usize];
+            sorted[*slot] = link;
+            *slot += 1;
+        }
+        for row in starts.windows(2) {
+            sorted[row[0]..row[1]].sort_by_key(|&(_, b, _)| b);
+        }
+        sorted
+    }
+
     /// Parameters and points that the surface should pass through: pixels, and the folds between them.
     fn samples(&self, parameters: &[[f64; 2]]) -> Vec<([f64; 2], Point3<f64>)> {
         let pixels = (0..self.count as u32).map(|k| (parameters[k as usize], self.point(k)));
@@ -312,8 +370,29 @@ impl<'a> Sheet<'a> {
             let [p, q] = [a, b].map(|k| parameters[k as usize]);
             ([0, 1].map(|c| 0.5 * (p[c] + q[c])), point)
         });
-        pixels.chain(turns).collect()
+        let rolled = self.rolled.iter().map(|&(vertex, rim, share, point)| {
+            let from = parameters[vertex as usize];
+            ([0, 1].map(|c| from[c] + (rim[c] - from[c]) * share), point)
+        });
+        pixels.chain(turns).chain(rolled).collect()
     }
+}
+
+/// Conductance of a sheet with this normal in x, in y, and along the diagonal: the tensor sqrt(det g) g^-1 of its metric
+/// g, split into directions. The diagonal rises where the last is positive.
+fn conductance(normal: &Vector3<f64>) -> [f64; 3] {
+    let across = normal.x.hypot(normal.y);
+    if across < 1e-6 {
+        return [1.0, 1.0, 0.0];
+    }
+    let (ex, ey) = (normal.x / across, normal.y / across);
+    let facing = normal.z.abs().max(LEAST_FACING);
+    // Along the slope ways are longer by 1 / facing, across it the sheet is wider by as much.
+    let (along, wide) = (facing, 1.0 / facing);
+    let (xx, yy) = (along * ex * ex + wide * ey * ey, along * ey * ey + wide * ex * ex);
+    let limit = 0.9 * xx.min(yy);
+    let xy = ((along - wide) * ex * ey).clamp(-limit, limit);
+    [xx, yy, xy]
 }
 
 /// All crossings of strokes with the lines between neighbouring pixels, sorted by line and place.
@@ -328,7 +407,8 @@ fn crossings(map: &LayerMap, border: &BorderLoop, curves: &BorderCurves, contour
             let parameters = [0, 1].map(|c| curves.parameters[i][c] * (1.0 - t) + curves.parameters[j][c] * t);
             // The pixel before the crossing is the left one, or the upper one; rows grow downwards.
             let left = if down == 0 { b[1] < a[1] } else { b[0] > a[0] };
-            let line = Line::Border { parameters, occluded, left };
+            let depth = -(curves.points[i].z * (1.0 - t) + curves.points[j].z * t);
+            let line = Line::Border { parameters, depth, occluded, left };
             result.push(Crossing { link, at, line });
         });
     }
@@ -369,7 +449,7 @@ fn cross_segment(n: usize, a: [f64; 2], b: [f64; 2], mut found: impl FnMut(usize
 }
 
 /// The net with the rim of `curves` that passes near the samples, smoothly.
-fn fit(curves: &BorderCurves, samples: &[([f64; 2], Point3<f64>)]) -> Result<Vec<Point3<f64>>, Error> {
+fn fit(curves: &BorderCurves, samples: &[([f64; 2], Point3<f64>)], smoothing: f64) -> Result<Vec<Point3<f64>>, Error> {
     let knots = &curves.knots;
     let start = super::coons_net(curves);
     let (rows, columns) = (knots[0].count(), knots[1].count());
@@ -404,7 +484,7 @@ fn fit(curves: &BorderCurves, samples: &[([f64; 2], Point3<f64>)]) -> Result<Vec
                 for q in j.saturating_sub(3)..(j + 4).min(columns) {
                     let value = couple(&third[0], i, p) * couple(&mass[1], j, q)
                         + couple(&mass[0], i, p) * couple(&third[1], j, q);
-                    band[i * columns + j][REACH * (p + 3 - i) + q + 3 - j] += SMOOTHING * value;
+                    band[i * columns + j][REACH * (p + 3 - i) + q + 3 - j] += smoothing * value;
                 }
             }
         }
@@ -450,7 +530,7 @@ mod tests {
 
     fn unfolded(scene: &Scene) -> NurbsSurface {
         let curves = BorderCurves::new(&scene.border, scene.corners, &scene.maps, [30, 30]).unwrap();
-        let net = unfolded_net(&scene.border, &curves, &scene.contours, &scene.maps).unwrap();
+        let net = unfolded_net(&scene.border, &curves, &scene.contours, &scene.maps, 1.0).unwrap();
         NurbsSurface::new(curves.knots, net, None).unwrap()
     }
 
