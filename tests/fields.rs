@@ -1,14 +1,17 @@
 //! Fields on surfaces like those that sketches show, and along the whole border.
 
 use nalgebra::Point3;
+use sketch2pq::control::Control;
 use sketch2pq::datagen::{Options, sample};
-use sketch2pq::field::{TriangleFrames, second_forms};
-use sketch2pq::mesh::BorderMode;
+use sketch2pq::field::{MapOptions, TriangleFrames, integrate, second_forms};
+use sketch2pq::mesh::{BorderMode, PanelMesh, border_vertices};
 use sketch2pq::pipeline::{
-    FieldOptions, MeshOptions, Placement, Session, SessionOptions, SurfaceResult, extract_pq_mesh, sketch_to_cdf,
-    surface_to_cdf,
+    FeatureCurve, FieldOptions, MeshOptions, Placement, Session, SessionOptions, SurfaceOptions, SurfaceResult,
+    extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
+use sketch2pq::sketch::read_sketch;
 use sketch2pq::surface::{NurbsSurface, SurfaceProjector};
+use std::collections::BTreeMap;
 
 fn session() -> Session {
     Session::new(&SessionOptions { threads: 1, ..SessionOptions::default() }).unwrap()
@@ -83,4 +86,183 @@ fn aligned_panels_of_a_translational_patch_are_its_parameter_net() {
     angles.sort_by(f64::total_cmp);
     let mean = angles.iter().sum::<f64>() / angles.len() as f64;
     assert!(mean < 1.5 && angles[angles.len() - 1] < 8.0, "{mean} degrees, {} at most", angles[angles.len() - 1]);
+}
+
+/// A cap z = (1 - x^2 - y^2) / 3 over the unit disk, its net's corners on the circle.
+fn cap() -> NurbsSurface {
+    let n = 24;
+    let point = |k: usize| {
+        let [s, t] = [k / (n + 1), k % (n + 1)].map(|i| 2.0 * i as f64 / n as f64 - 1.0);
+        let [x, y] = [s * (1.0 - 0.5 * t * t).sqrt(), t * (1.0 - 0.5 * s * s).sqrt()];
+        Point3::new(x, y, (1.0 - x * x - y * y) / 3.0)
+    };
+    NurbsSurface::uniform(3, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap()
+}
+
+/// Undirected sides of a mesh with the number of their faces.
+fn sides(mesh: &PanelMesh) -> BTreeMap<[u32; 2], usize> {
+    let mut sides = BTreeMap::new();
+    for face in mesh.faces() {
+        for k in 0..face.len() {
+            let (a, b) = (face[k], face[(k + 1) % face.len()]);
+            *sides.entry([a.min(b), a.max(b)]).or_default() += 1;
+        }
+    }
+    sides
+}
+
+#[test]
+fn a_round_border_that_is_followed_all_around_has_four_irregular_vertices_inside_and_none_on_it() {
+    let mut session = session();
+    let surface = SurfaceResult::from_nurbs(vec![cap()]).unwrap();
+    let options = FieldOptions { aligned_sides: [true; 4], ..FieldOptions::default() };
+    let field = surface_to_cdf(&mut session, &surface, &[], &options).unwrap();
+    // Poincare and Hopf: the cross turns once with the circle, which has no corners.
+    let indices: Vec<i32> = field.patches[0].field.singularities.iter().map(|s| s.index).collect();
+    assert_eq!(indices, [1; 4]);
+    // Cells whose border edge would stray too far from the circle are cut, where there are few.
+    for (faces, cut) in [(100, 8), (400, 4), (1500, 0)] {
+        let options = MeshOptions { border: BorderMode::Aligned, faces, ..MeshOptions::default() };
+        let mesh = extract_pq_mesh(&mut session, &field, &options).unwrap();
+        let all = mesh.measures();
+        assert!(all.faces - all.quads <= cut && all.irregular_vertices == 4, "{all:?}");
+        assert!(all.planarity_max < 1e-6 && all.deviation_max_edges < 0.1, "{all:?}");
+        let mesh = &mesh.patches[0].mesh;
+        let sides = sides(mesh);
+        assert!(sides.values().all(|&n| n <= 2));
+        let on_border = border_vertices(mesh);
+        for &v in &on_border {
+            let p = mesh.vertices[v as usize];
+            assert!((p.x.hypot(p.y) - 1.0).abs() < 0.01 && p.z.abs() < 0.01, "{p}");
+            // Two edges of the loop, and one that goes inside.
+            assert!(cut > 0 || sides.keys().filter(|side| side.contains(&v)).count() == 3);
+        }
+    }
+}
+
+#[test]
+fn each_side_is_followed_where_that_is_asked_for() {
+    let mut session = session();
+    // On a paraboloid any orthogonal pair in the plane is conjugate, so the curves decide, and they run aslant.
+    let corner = |s: f64, t: f64| [4.0 * s + t, 3.0 * t + 0.5 * s];
+    let n = 12;
+    let point = |k: usize| {
+        let [x, y] = corner((k / (n + 1)) as f64 / n as f64, (k % (n + 1)) as f64 / n as f64);
+        Point3::new(x, y, 0.05 * (x * x + y * y))
+    };
+    let patch = NurbsSurface::uniform(3, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap();
+    let surface = SurfaceResult::from_nurbs(vec![patch]).unwrap();
+    let diagonal = [corner(0.1, 0.2), corner(0.9, 0.8)];
+    let points = (0..=20).map(|i| f64::from(i) / 20.0).map(|t| {
+        let [x, y] = [0, 1].map(|k| diagonal[0][k] + t * (diagonal[1][k] - diagonal[0][k]));
+        Point3::new(x, y, 0.05 * (x * x + y * y))
+    });
+    let curves = [FeatureCurve { points: points.collect(), hard: false }];
+    // u = min and v = max, each alone, and together.
+    for aligned_sides in [[true, false, false, false], [false, false, false, true], [true, false, false, true]] {
+        let options = FieldOptions { aligned_sides, ..FieldOptions::default() };
+        let field = surface_to_cdf(&mut session, &surface, &curves, &options).unwrap();
+        let field = &field.patches[0].field;
+        let [nu, nv] = field.mesh.cells.map(|c| c as u32);
+        let mut worst = [0.0f64; 4];
+        for e in (0..field.edges.len()).filter(|&e| field.edges.is_border(e)) {
+            let ends = field.edges.vertices[e];
+            let along = field.mesh.position(ends[1]) - field.mesh.position(ends[0]);
+            let angle = |d: &nalgebra::Vector3<f64>| d.cross(&along).norm().atan2(d.dot(&along).abs()).to_degrees();
+            let off = field.directions[field.edges.triangles[e][0] as usize].iter().map(angle).fold(90.0, f64::min);
+            let line = ends.map(|v| [v / (nv + 1), v % (nv + 1)]);
+            let on = [[0, 0], [0, nu], [1, 0], [1, nv]].map(|[k, l]| line.iter().all(|g| g[k as usize] == l));
+            (0..4).filter(|&k| on[k]).for_each(|k| worst[k] = worst[k].max(off));
+        }
+        for k in 0..4 {
+            assert!(if aligned_sides[k] { worst[k] < 1e-6 } else { worst[k] > 5.0 }, "{aligned_sides:?}: {worst:?}");
+        }
+    }
+}
+
+#[test]
+fn aligned_sketches_become_planar_meshes_that_end_on_the_border() {
+    let mut session = session();
+    // What these outlines need: singularities of the field for their rounded corners, at most.
+    for (name, most) in [("dome", 4), ("barrel_vault", 1), ("saddle", 0), ("rounded_corner", 6), ("results_left", 8)] {
+        let sketch = read_sketch(format!("examples/sketches/{name}.json").as_ref()).unwrap();
+        let surface = sketch_to_surface(&mut session, &sketch, &SurfaceOptions::default()).unwrap();
+        let options = FieldOptions { aligned_sides: [true; 4], ..FieldOptions::default() };
+        let field = sketch_to_cdf(&mut session, Some(&sketch), &surface, &options).unwrap();
+        let options = MeshOptions { border: BorderMode::Aligned, ..MeshOptions::default() };
+        let mesh = extract_pq_mesh(&mut session, &field, &options).unwrap();
+        let all = mesh.measures();
+        assert!(field.patches[0].field.singularities.len() <= most, "{name}");
+        assert!(all.planarity_max <= 1e-6 && all.deviation_max_edges <= 0.2, "{name}: {all:?}");
+        // A corner of the patch that is none of the panels leaves a triangle or a pentagon or two.
+        assert!(all.faces - all.quads <= all.faces / 20, "{name}: {all:?}");
+        let sides = sides(&mesh.patches[0].mesh);
+        assert!(sides.values().all(|&n| n <= 2), "{name}");
+        let border = border_points(&surface.patches[0].surface);
+        for v in border_vertices(&mesh.patches[0].mesh) {
+            let p = mesh.patches[0].mesh.vertices[v as usize];
+            let off = border.iter().map(|q| (q - p).norm()).fold(f64::INFINITY, f64::min);
+            assert!(off < 0.05 * all.edge_length_mean, "{name}: {off} of {}", all.edge_length_mean);
+        }
+    }
+}
+
+/// Points all along the border of a surface.
+fn border_points(surface: &NurbsSurface) -> Vec<Point3<f64>> {
+    let side = |i: u32| {
+        let t = f64::from(i % 2000) / 2000.0;
+        let [s, t] = [[t, 0.0], [1.0, t], [1.0 - t, 1.0], [0.0, 1.0 - t]][i as usize / 2000];
+        let [u, v] = surface.at_fraction(s, t);
+        surface.point(u, v)
+    };
+    (0..8000).map(side).collect()
+}
+
+#[test]
+fn without_lines_the_field_of_a_rotational_surface_follows_its_meridians() {
+    let mut session = session();
+    // A quarter of a bell, its meridians along u; the principal directions are distinct all over.
+    let n = 16;
+    let point = |k: usize| {
+        let [s, t] = [k / (n + 1), k % (n + 1)].map(|i| i as f64 / n as f64);
+        let (radius, angle) = (1.0 + s + 0.3 * s * s, 1.5 * t);
+        Point3::new(radius * angle.cos(), radius * angle.sin(), 1.5 - 1.2 * s * s)
+    };
+    let patch = NurbsSurface::uniform(3, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap();
+    let surface = SurfaceResult::from_nurbs(vec![patch]).unwrap();
+    let field = surface_to_cdf(&mut session, &surface, &[], &FieldOptions::default()).unwrap();
+    let field = &field.patches[0].field;
+    assert!(field.singularities.is_empty() && field.diagnostics.conjugacy_max < 1e-9);
+    let mut sum = 0.0;
+    for (t, directions) in field.directions.iter().enumerate() {
+        let corners = field.mesh.triangles[t].map(|v| &field.mesh.points[v as usize]);
+        let along: nalgebra::Vector3<f64> = corners.iter().map(|p| p.du).sum();
+        let angle = |d: &nalgebra::Vector3<f64>| d.cross(&along).norm().atan2(d.dot(&along).abs()).to_degrees();
+        sum += directions.iter().map(angle).fold(90.0, f64::min);
+    }
+    let mean = sum / field.directions.len() as f64;
+    assert!(mean < 2.0, "{mean} degrees");
+}
+
+#[test]
+fn field_map_and_mesh_are_the_same_bytes_on_any_number_of_threads() {
+    let sketch = read_sketch("examples/sketches/rounded_corner.json".as_ref()).unwrap();
+    let run = |threads: usize, aligned: bool| {
+        let mut session = Session::new(&SessionOptions { threads, ..SessionOptions::default() }).unwrap();
+        let surface = sketch_to_surface(&mut session, &sketch, &SurfaceOptions::default()).unwrap();
+        let options = FieldOptions { aligned_sides: [aligned; 4], ..FieldOptions::default() };
+        let field = sketch_to_cdf(&mut session, Some(&sketch), &surface, &options).unwrap();
+        let map = integrate(&field.patches[0].field, &MapOptions::default(), &Control::default()).unwrap();
+        let mesh = extract_pq_mesh(&mut session, &field, &MeshOptions::default()).unwrap();
+        let field = &field.patches[0].field;
+        let bits = |v: &nalgebra::Vector3<f64>| [v.x, v.y, v.z].map(f64::to_bits);
+        let directions: Vec<_> = field.directions.iter().chain(&field.layout).flatten().map(bits).collect();
+        let places: Vec<_> = mesh.patches[0].mesh.vertices.iter().map(|p| bits(&p.coords)).collect();
+        let panels = (places, mesh.patches[0].mesh.indices.clone());
+        (directions, field.matching.clone(), map.corners, map.transitions, panels)
+    };
+    for aligned in [false, true] {
+        let one = run(1, aligned);
+        assert!(run(2, aligned) == one && run(3, aligned) == one, "aligned: {aligned}");
+    }
 }

@@ -1,5 +1,6 @@
 //! A problem on a mesh of half the resolution, on which topology is cheap.
 
+use super::border::Corner;
 use super::conjugate::SecondForm;
 use super::conjugate_field::Singularity;
 use super::lift::locate;
@@ -72,6 +73,35 @@ impl Coarse {
             *sums.entry((i * (cells[1] + 1) + j) as u32).or_default() += s.index;
         }
         sums.into_iter().filter(|s| s.1 != 0).map(|(vertex, index)| Singularity { vertex, index }).collect()
+    }
+
+    /// Singularities of this mesh at their places on the fine one, whose cells are `fine`.
+    pub fn refined(&self, fine: [usize; 2], singularities: &[Singularity]) -> Vec<Singularity> {
+        let cells = self.mesh.cells;
+        let place = |s: &Singularity| {
+            let v = s.vertex as usize;
+            let [i, j] = [v / (cells[1] + 1) * fine[0] / cells[0], v % (cells[1] + 1) * fine[1] / cells[1]];
+            Singularity { vertex: (i * (fine[1] + 1) + j) as u32, ..*s }
+        };
+        singularities.iter().map(place).collect()
+    }
+
+    /// Corners of the border of the fine mesh, whose cells are `fine`, at the nearest border vertices; those that meet there are added up.
+    pub fn corners(&self, fine: [usize; 2], corners: &[Corner]) -> Vec<Corner> {
+        let cells = self.mesh.cells;
+        let mut sums: BTreeMap<u32, i32> = BTreeMap::new();
+        for corner in corners {
+            let v = corner.vertex as usize;
+            let line = [v / (fine[1] + 1), v % (fine[1] + 1)];
+            // A line next to the border is no border.
+            let [i, j] = [0, 1].map(|k| match line[k] {
+                0 => 0,
+                l if l == fine[k] => cells[k],
+                l => ((l * cells[k] + fine[k] / 2) / fine[k]).clamp(1, cells[k].max(2) - 1),
+            });
+            *sums.entry((i * (cells[1] + 1) + j) as u32).or_default() += corner.turns;
+        }
+        sums.into_iter().map(|(vertex, turns)| Corner { vertex, turns }).collect()
     }
 
     /// Second forms of the coarse triangles, in their `frames`: the means of the `fine` ones over area, so that bumps are averaged, not

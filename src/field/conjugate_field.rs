@@ -26,6 +26,8 @@ pub struct ConjugateField {
     pub singularities: Vec<Singularity>,
     /// Whether the host fixed the singularities, so that the map keeps all of them.
     pub fixed_singularities: bool,
+    /// Whether a family follows the border along the sides u = min, u = max, v = min, v = max.
+    pub aligned_sides: [bool; 4],
     /// What the field was asked to follow: unit tangent directions with their weights; the map follows them too.
     pub lines: Vec<DirectionConstraint>,
     /// The same for the directions that run parallel to those lines, beside them.

@@ -5,6 +5,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::conjugate_field::ConjugateField;
+use super::relations::{Relations, Terms, add};
 use super::seams::{Gauss, NONE, Seams, turned};
 use crate::control::Control;
 use crate::error::Error;
@@ -25,15 +26,14 @@ pub enum Density {
     CellCount(f64),
 }
 
-/// Whether whole sides of the patch become isolines at integers, so that no cell is cut there.
+/// Whether sides of the patch become isolines at integers, so that no cell is cut there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SideFit {
     /// Never.
     Off,
-    /// Where the field follows the whole side within this angle, radians.
+    /// Those that the field was asked to follow, with a corner wherever the border turns against it; others where the same family follows
+    /// the whole side within this angle, radians.
     Within(f64),
-    /// Each side, as the family that follows more of it.
-    Always,
 }
 
 /// How [`integrate`] shapes the map.
@@ -141,6 +141,7 @@ pub struct Integrator<'a> {
     triangles: Vec<Element>,
     system: System,
     vertex_forms: Vec<[Form; 2]>,
+    relations: Relations,
     /// Side from which the domain lies on fitted coordinates: the sign of one unit off the integer.
     inward: Vec<[i8; 2]>,
     fitted_sides: [bool; 4],
@@ -155,7 +156,7 @@ enum Form {
     /// A real unknown.
     Free(u32),
     /// An integer combination of integer unknowns.
-    Integer(Vec<(u32, i64)>),
+    Integer(Terms),
 }
 
 /// What the energy needs of one triangle.
@@ -201,10 +202,11 @@ impl<'a> Integrator<'a> {
         let seams = Seams::new(field, options.pair_distance * reach, options.rim_distance * reach);
         let triangles = elements(field, &seams)?;
         let mut layout = Layout::new(field, &seams);
-        layout.fit_sides(field, &seams, options.sides);
+        layout.fit_border(field, &seams, options.sides);
         layout.pin(field, &seams);
-        let Layout { forms: vertex_forms, inward, fitted_sides, free, integers, .. } = layout;
-        let system = System::new(field, &seams, &vertex_forms, free, integers)?;
+        let Layout { forms: vertex_forms, inward, fitted_sides, free, integers, relations } = layout;
+        let relations = Relations::new(integers, &relations);
+        let system = System::new(field, &seams, &vertex_forms, free, &relations)?;
         let start = vec![[1.0, 1.0]; triangles.len()];
         // Sizes are in units of cells per length for a map of about 500 cells; only their ratios matter.
         let unit = (500.0 / area).sqrt();
@@ -215,6 +217,7 @@ impl<'a> Integrator<'a> {
             triangles,
             system,
             vertex_forms,
+            relations,
             inward,
             fitted_sides,
             sizes: start.iter().map(|s| s.map(|x| x * unit)).collect(),
@@ -291,7 +294,8 @@ impl<'a> Integrator<'a> {
             direction_mean_deg: self.direction_error(&corners),
             stiffening_rounds: rounds,
         };
-        let (corners, transitions) = self.quantize(&solution, &y.iter().map(|&x| x as i64).collect::<Vec<_>>());
+        let (corners, transitions) =
+            self.quantize(&solution, &self.relations.values(&y.iter().map(|&x| x as i64).collect::<Vec<_>>()));
         Ok(SeamlessMap {
             mesh: self.field.mesh.clone(),
             corners,
@@ -535,6 +539,8 @@ struct Layout {
     fitted_sides: [bool; 4],
     free: usize,
     integers: usize,
+    /// Sums of integers that have to vanish.
+    relations: Vec<Terms>,
 }
 
 /// A border half-edge with the field's direction (0 to 3 of the combed directions) nearest to it, and the angle between.
@@ -544,6 +550,21 @@ struct BorderStep {
     direction: u8,
     angle: f64,
     length: f64,
+    /// Whether it becomes an isoline.
+    fitted: bool,
+}
+
+impl BorderStep {
+    /// Half-edge that ends where this one ends, seen from its triangle.
+    fn head(&self) -> usize {
+        self.half_edge / 3 * 3 + (self.half_edge + 1) % 3
+    }
+
+    /// Whether the same family, carried across the seams at the vertex between them, follows the next step.
+    fn continues(&self, next: &Self, seams: &Seams) -> bool {
+        let [before, after] = [self.head(), next.half_edge].map(|corner| seams.corner[corner].0);
+        (self.direction + after + 4 - before) % 4 == next.direction
+    }
 }
 
 impl Layout {
@@ -556,79 +577,107 @@ impl Layout {
                 .map(|i| Form::Integer(singularity_variable(s as u32, i).map(|k| (k as u32, 1)).into_iter().collect()));
         }
         let integers = 2 * seams.singular.len().saturating_sub(1);
-        Self { forms, inward: vec![[0; 2]; count], fitted_sides: [false; 4], free: 0, integers }
+        let relations = vec![];
+        Self { forms, inward: vec![[0; 2]; count], fitted_sides: [false; 4], free: 0, integers, relations }
     }
 
-    /// Ties one coordinate of every vertex of a side to one integer, for the sides that `fit` admits.
-    fn fit_sides(&mut self, field: &ConjugateField, seams: &Seams, fit: SideFit) {
-        let largest = match fit {
-            SideFit::Off => return,
-            SideFit::Within(angle) => angle,
-            SideFit::Always => f64::INFINITY,
+    /// Ties one coordinate of the vertices along each stretch of the border that `fit` admits to one integer: both where stretches meet.
+    fn fit_border(&mut self, field: &ConjugateField, seams: &Seams, fit: SideFit) {
+        let SideFit::Within(largest) = fit else { return };
+        let mut steps = vec![];
+        for (side, mut own) in border_sides(field, seams).into_iter().enumerate() {
+            let followed = field.aligned_sides[FIELD_SIDES[side]];
+            let near = own.iter().all(|s| s.angle <= largest) && own.windows(2).all(|s| s[0].continues(&s[1], seams));
+            let fitted = !own.is_empty() && (followed || near);
+            // A collapsed side is a point.
+            own.iter_mut().for_each(|s| s.fitted = fitted && s.length > 0.0);
+            self.fitted_sides[side] = own.iter().any(|s| s.fitted);
+            steps.extend(own);
+        }
+        let count = steps.len();
+        let joined = |i: usize| {
+            let [last, next]: [&BorderStep; 2] = [&steps[(i + count - 1) % count], &steps[i % count]];
+            last.fitted && next.fitted && last.continues(next, seams)
         };
-        for (side, steps) in border_sides(field, seams).iter().enumerate() {
-            if steps.is_empty() || steps.iter().map(|s| s.length).sum::<f64>() <= 0.0 {
+        let start = (0..count).find(|&i| !joined(i)).unwrap_or(0);
+        // The integer, as the sheet of the last triangle sees it.
+        let mut value = Terms::new();
+        for i in start..start + count {
+            let step = &steps[i % count];
+            if !step.fitted {
                 continue;
             }
-            if steps.iter().any(|s| s.angle > largest) {
-                continue;
+            if i > start && joined(i) {
+                value = self.carried(value, &steps[(i - 1) % count], step, seams);
+            } else {
+                value = self.begun(step, field, seams);
             }
-            let Some(directions) = continued(steps, seams, field, fit == SideFit::Always) else { continue };
-            self.fit_side(field, seams, steps, &directions);
-            self.fitted_sides[side] = true;
+            for corner in [step.half_edge, step.head()] {
+                self.tie(corner, step, &value, field, seams);
+            }
         }
     }
 
-    fn fit_side(&mut self, field: &ConjugateField, seams: &Seams, steps: &[BorderStep], directions: &[u8]) {
-        let mut value: Option<Vec<(u32, i64)>> = None;
-        for (i, step) in steps.iter().enumerate() {
-            let h = step.half_edge;
-            // A border along direction j has the domain on its left, along direction j + 1.
-            let constant = usize::from(directions[i].is_multiple_of(2));
-            let inward = if matches!(directions[i], 1 | 2) { -1 } else { 1 };
-            let ends = [h, h / 3 * 3 + (h + 1) % 3];
-            if i > 0 {
-                // The sheet may have changed at the vertex between the steps.
-                let last = steps[i - 1].half_edge;
-                let before = seams.corner[last / 3 * 3 + (last + 1) % 3];
-                let after = seams.corner[h];
-                if before != after {
-                    let turn = (after.0 + 4 - before.0) % 4;
-                    let was_constant = usize::from(directions[i - 1].is_multiple_of(2));
-                    let mut relative = value.take().expect("set by the first step");
-                    add(&mut relative, &component(&seams.translations[before.1 as usize], was_constant), -1);
-                    let (index, sign) = turned_component(was_constant, turn);
-                    debug_assert_eq!(index, constant);
-                    relative.iter_mut().for_each(|t| t.1 *= sign);
-                    add(&mut relative, &component(&seams.translations[after.1 as usize], constant), 1);
-                    value = Some(relative);
-                }
+    /// The coordinate that is constant along a step.
+    fn constant(step: &BorderStep) -> usize {
+        usize::from(step.direction.is_multiple_of(2))
+    }
+
+    /// The integer of a new stretch: what is known of its first vertex, or a new unknown.
+    fn begun(&mut self, step: &BorderStep, field: &ConjugateField, seams: &Seams) -> Terms {
+        let corner = step.half_edge;
+        let (r, place) = seams.corner[corner];
+        let (index, sign) = source_component(Self::constant(step), r);
+        match &self.forms[field.mesh.triangles[corner / 3][corner % 3] as usize][index] {
+            Form::Integer(terms) => {
+                let mut value = component(&seams.translations[place as usize], Self::constant(step));
+                add(&mut value, terms, sign);
+                value
             }
-            for &corner in &ends {
-                let vertex = field.mesh.triangles[corner / 3][corner % 3] as usize;
-                let (r, place) = seams.corner[corner];
-                let shift = component(&seams.translations[place as usize], constant);
-                // Component `constant` of i^r z_v is sign times component `index` of z_v.
-                let (index, sign) = source_component(constant, r);
-                if value.is_none() {
-                    value = Some(match &self.forms[vertex][index] {
-                        Form::Integer(terms) => {
-                            let mut value: Vec<_> = terms.iter().map(|&(k, c)| (k, c * sign)).collect();
-                            add(&mut value, &shift, 1);
-                            value
-                        }
-                        Form::Free(_) => {
-                            self.integers += 1;
-                            vec![(self.integers as u32 - 1, 1)]
-                        }
-                    });
-                }
-                if matches!(self.forms[vertex][index], Form::Free(_)) {
-                    let mut terms = value.clone().expect("set above");
-                    add(&mut terms, &shift, -1);
-                    terms.iter_mut().for_each(|t| t.1 *= sign);
-                    self.forms[vertex][index] = Form::Integer(terms);
-                    self.inward[vertex][index] = inward * sign as i8;
+            Form::Free(_) => {
+                self.integers += 1;
+                vec![(self.integers as u32 - 1, 1)]
+            }
+        }
+    }
+
+    /// The integer of a stretch in the sheet of the next step: the sheet may change at the vertex between the steps.
+    fn carried(&self, mut value: Terms, last: &BorderStep, next: &BorderStep, seams: &Seams) -> Terms {
+        let [before, after] = [last.head(), next.half_edge].map(|corner| seams.corner[corner]);
+        if before == after {
+            return value;
+        }
+        let was = Self::constant(last);
+        add(&mut value, &component(&seams.translations[before.1 as usize], was), -1);
+        let (index, sign) = turned_component(was, (after.0 + 4 - before.0) % 4);
+        debug_assert_eq!(index, Self::constant(next));
+        value.iter_mut().for_each(|t| t.1 *= sign);
+        add(&mut value, &component(&seams.translations[after.1 as usize], index), 1);
+        value
+    }
+
+    /// Gives the vertex at a corner of a step's triangle the integer `value` across the step.
+    fn tie(&mut self, corner: usize, step: &BorderStep, value: &Terms, field: &ConjugateField, seams: &Seams) {
+        let vertex = field.mesh.triangles[corner / 3][corner % 3] as usize;
+        let constant = Self::constant(step);
+        let (r, place) = seams.corner[corner];
+        // Component `constant` of i^r z_v is sign times component `index` of z_v.
+        let (index, sign) = source_component(constant, r);
+        let mut terms = value.clone();
+        add(&mut terms, &component(&seams.translations[place as usize], constant), -1);
+        terms.iter_mut().for_each(|t| t.1 *= sign);
+        match &self.forms[vertex][index] {
+            Form::Free(_) => {
+                // A border along direction j has the domain on its left, along direction j + 1.
+                let inward = if matches!(step.direction, 1 | 2) { -1 } else { 1 };
+                self.forms[vertex][index] = Form::Integer(terms);
+                self.inward[vertex][index] = inward * sign as i8;
+            }
+            // Where the border closes on itself without a corner, or a vertex has an integer from elsewhere.
+            Form::Integer(known) => {
+                add(&mut terms, known, -1);
+                if !terms.is_empty() {
+                    self.relations.push(terms);
                 }
             }
         }
@@ -644,15 +693,7 @@ impl Layout {
                     Form::Free(_) => None,
                 });
                 match first {
-                    Some(pinned) => {
-                        for form in self.forms.iter_mut().flatten() {
-                            if let Form::Integer(terms) = form {
-                                terms.retain(|t| t.0 != pinned);
-                                terms.iter_mut().filter(|t| t.0 > pinned).for_each(|t| t.0 -= 1);
-                            }
-                        }
-                        self.integers -= 1;
-                    }
+                    Some(pinned) => self.relations.push(vec![(pinned, 1)]),
                     None => {
                         let [nu, nv] = field.mesh.cells;
                         let center = nu / 2 * (nv + 1) + nv / 2;
@@ -671,20 +712,9 @@ impl Layout {
     }
 }
 
-/// `to` += `sign` times `terms`
-fn add(to: &mut Vec<(u32, i64)>, terms: &[(u32, i64)], sign: i64) {
-    for &(k, c) in terms {
-        match to.iter_mut().find(|t| t.0 == k) {
-            Some(t) => t.1 += sign * c,
-            None => to.push((k, sign * c)),
-        }
-    }
-    to.retain(|t| t.1 != 0);
-}
-
 /// Component `i` of a translation, in integer unknowns.
-fn component(translation: &[(u32, Gauss)], i: usize) -> Vec<(u32, i64)> {
-    let mut terms = vec![];
+fn component(translation: &[(u32, Gauss)], i: usize) -> Terms {
+    let mut terms = Terms::new();
     for &(s, c) in translation {
         // (x + iy)(p + iq) = xp - yq + i (xq + yp)
         let coefficients = if i == 0 { [c[0], -c[1]] } else { [c[1], c[0]] };
@@ -715,6 +745,9 @@ fn turned_component(i: usize, r: u8) -> (usize, i64) {
     (index, source_component(index, r).1)
 }
 
+/// For each side, counter-clockwise from v = min, its number where u = min, u = max, v = min, v = max are 0 to 3.
+const FIELD_SIDES: [usize; 4] = [2, 1, 3, 0];
+
 /// The border half-edges of the sides v = min, u = max, v = max, u = min, each counter-clockwise around the domain.
 fn border_sides(field: &ConjugateField, seams: &Seams) -> [Vec<BorderStep>; 4] {
     let [nu, nv] = field.mesh.cells;
@@ -737,30 +770,11 @@ fn border_sides(field: &ConjugateField, seams: &Seams) -> [Vec<BorderStep>; 4] {
                 let cosine =
                     |j: u8| field.layout_direction(t as u32, (seams.name[t] + j) as usize).dot(&along) / length;
                 let direction = (0..4).max_by(|&a, &b| cosine(a).total_cmp(&cosine(b))).expect("four directions");
-                BorderStep { half_edge: h, direction, angle: cosine(direction).clamp(-1.0, 1.0).acos(), length }
+                let angle = cosine(direction).clamp(-1.0, 1.0).acos();
+                BorderStep { half_edge: h, direction, angle, length, fitted: false }
             })
             .collect()
     })
-}
-
-/// The direction along each step of a side, continued across seams; `None` if the nearest directions disagree with that, unless
-/// `vote` asks for the one that agrees with most of the length.
-fn continued(steps: &[BorderStep], seams: &Seams, _field: &ConjugateField, vote: bool) -> Option<Vec<u8>> {
-    // Offsets relative to the first step's sheet.
-    let mut offset = vec![0u8];
-    for pair in steps.windows(2) {
-        let last = pair[0].half_edge;
-        let before = seams.corner[last / 3 * 3 + (last + 1) % 3].0;
-        let after = seams.corner[pair[1].half_edge].0;
-        offset.push((offset[offset.len() - 1] + after + 4 - before) % 4);
-    }
-    let mut length = [0.0; 4];
-    for (step, o) in steps.iter().zip(&offset) {
-        length[((step.direction + 4 - o) % 4) as usize] += step.length;
-    }
-    let best = (0..4u8).max_by(|&a, &b| length[a as usize].total_cmp(&length[b as usize]))?;
-    let agrees = length[best as usize] >= length.iter().sum::<f64>() * (1.0 - 1e-9);
-    (vote || agrees).then(|| offset.iter().map(|o| (best + o) % 4).collect())
 }
 
 /// The energy's matrix as a sum over triangles into the slots of one fixed pattern: free unknowns first, then integers.
@@ -788,11 +802,12 @@ impl System {
         seams: &Seams,
         forms: &[[Form; 2]],
         free: usize,
-        integers: usize,
+        relations: &Relations,
     ) -> Result<Self, Error> {
         let triangles = &field.mesh.triangles;
-        let shifts: Vec<[Vec<(u32, i64)>; 2]> =
-            seams.translations.iter().map(|t| [component(t, 0), component(t, 1)]).collect();
+        let integers = relations.free;
+        let shifts: Vec<[Terms; 2]> =
+            seams.translations.iter().map(|t| [0, 1].map(|i| relations.expand(&component(t, i)))).collect();
         let mut terms: Vec<(u32, f64)> = Vec::with_capacity(6 * triangles.len());
         let mut term_starts = vec![0u32];
         for (t, triangle) in triangles.iter().enumerate() {
@@ -807,8 +822,8 @@ impl System {
                             terms.extend(shift.iter().map(|&(k, c)| (free as u32 + k, c as f64)));
                         }
                         Form::Integer(own) => {
-                            let mut sum: Vec<_> = own.iter().map(|&(k, c)| (k, c * sign)).collect();
-                            add(&mut sum, shift, 1);
+                            let mut sum = shift.clone();
+                            add(&mut sum, &relations.expand(own), sign);
                             terms.extend(sum.iter().map(|&(k, c)| (free as u32 + k, c as f64)));
                         }
                     }

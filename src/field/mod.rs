@@ -1,5 +1,6 @@
 //! Conjugate direction fields on surfaces.
 
+mod border;
 mod cancel;
 mod coarse;
 mod conjugate;
@@ -10,6 +11,7 @@ mod matching;
 mod parallel;
 mod polyvector;
 mod prescribe;
+mod relations;
 mod seams;
 mod smooth;
 mod system;

@@ -1,18 +1,17 @@
 //! Singularities that the host fixes: whether a field can have them, and the quarter turns that give it those and no others.
 
-use super::cancel::paths;
+use super::border::{Corner, followed};
 use super::conjugate_field::Singularity;
 use super::topology::EdgeTopology;
 use crate::error::Error;
 use crate::surface::SurfaceMesh;
 use std::collections::BTreeMap;
-use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Whether a field that follows the sides `aligned` (u = min, u = max, v = min, v = max) can have these singularities and no others.
 ///
 /// Where a side is free the cross may turn against the border there as often as it likes, so that any indices will do. Where all
 /// sides are followed the cross turns once with the border, less a quarter at each corner: by Poincare and Hopf the indices then
-/// sum to 4 quarter turns minus one for each corner of about 90 degrees, 0 on a patch with four such corners ([`room`]).
+/// sum to 4 quarter turns minus those of the border at its `corners`, 0 on a patch with four convex ones.
 ///
 /// # Errors
 /// [`Error::Argument`] for an index other than 1 and -1, a vertex on the border, or two singularities on one vertex;
@@ -21,6 +20,7 @@ pub(super) fn check(
     mesh: &SurfaceMesh,
     edges: &EdgeTopology,
     aligned: &[bool; 4],
+    corners: &[Corner],
     fixed: &[Singularity],
 ) -> Result<(), Error> {
     let fail = |value: String, expected| Err(Error::Argument { name: "singularities", value, expected });
@@ -38,49 +38,15 @@ pub(super) fn check(
         }
     }
     let sum = fixed.iter().map(|s| s.index).sum();
-    match room(mesh, aligned) {
-        Some(room) if room != sum => Err(Error::SingularityCount { sum, room }),
-        _ => Ok(()),
-    }
+    // A collapsed side is not followed.
+    let all_around = followed(mesh, edges, aligned).len() == (0..edges.len()).filter(|&e| edges.is_border(e)).count();
+    let room = 4 - corners.iter().map(|c| c.turns).sum::<i32>();
+    if all_around && room != sum { Err(Error::SingularityCount { sum, room }) } else { Ok(()) }
 }
 
-/// Sum of the indices, quarter turns, that sides leave room for: 4 minus the quarter turns of the border at the corners, each the
-/// nearest to its outer angle. `None` where a side is free, or collapsed to a point so that its corners have no angles.
-fn room(mesh: &SurfaceMesh, aligned: &[bool; 4]) -> Option<i32> {
-    if !aligned.iter().all(|&a| a) {
-        return None;
-    }
-    let [nu, nv] = mesh.cells;
-    let mut sum = 4;
-    for corner in [0, nv, nu * (nv + 1), nu * (nv + 1) + nv] {
-        let mut inner = 0.0;
-        for triangle in &mesh.triangles {
-            if let Some(k) = triangle.iter().position(|&v| v as usize == corner) {
-                let [at, a, b] = [0, 1, 2].map(|i| mesh.position(triangle[(k + i) % 3]));
-                if (a - at).norm() == 0.0 || (b - at).norm() == 0.0 {
-                    return None;
-                }
-                inner += (a - at).angle(&(b - at));
-            }
-        }
-        sum -= ((PI - inner) / FRAC_PI_2).round() as i32;
-    }
-    Some(sum)
-}
-
-/// Quarter turns to add across edges (edge, quarter turns) that move the singularities of a field from where they are to `fixed`; what
-/// does not match leaves or enters over the border, where no side is `aligned`, or at its corners.
-///
-/// `rigidity` of each triangle as in [`paths`].
-pub(super) fn turns(
-    mesh: &SurfaceMesh,
-    edges: &EdgeTopology,
-    rigidity: &[f64],
-    aligned: &[bool; 4],
-    present: &[Singularity],
-    fixed: &[Singularity],
-) -> Vec<(u32, i32)> {
-    // A charge that shall come to a vertex is the opposite charge there, waiting to be cancelled.
+/// The charges to take out of a field so that it has the `fixed` singularities and no others: a charge that shall come to a vertex is the
+/// opposite charge there, waiting to be cancelled.
+pub(super) fn charges(present: &[Singularity], fixed: &[Singularity]) -> Vec<Singularity> {
     let mut charges: BTreeMap<u32, i32> = BTreeMap::new();
     for s in present {
         *charges.entry(s.vertex).or_default() += s.index;
@@ -88,16 +54,7 @@ pub(super) fn turns(
     for s in fixed {
         *charges.entry(s.vertex).or_default() -= s.index;
     }
-    let charges: Vec<Singularity> =
-        charges.into_iter().filter(|c| c.1 != 0).map(|(vertex, index)| Singularity { vertex, index }).collect();
-    let [nu, nv] = mesh.cells.map(|c| c as u32);
-    let passes = |v: u32| {
-        let (i, j) = (v / (nv + 1), v % (nv + 1));
-        let sides = [i == 0, i == nu, j == 0, j == nv];
-        let on = (0..4).filter(|&k| sides[k]);
-        on.clone().count() == 2 || on.clone().any(|k| !aligned[k])
-    };
-    paths(mesh, edges, rigidity, &charges, f64::INFINITY, &passes)
+    charges.into_iter().filter(|c| c.1 != 0).map(|(vertex, index)| Singularity { vertex, index }).collect()
 }
 
 #[cfg(test)]

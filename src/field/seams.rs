@@ -72,7 +72,8 @@ pub(crate) struct Seams {
 }
 
 impl Seams {
-    /// Cuts and combs `field`; opposite singularities closer than `pair` cancel, and those closer than `rim` to the border leave over it.
+    /// Cuts and combs `field`; opposite singularities closer than `pair` cancel, and those closer than `rim` to a border that the field does not
+    /// follow leave over it.
     pub fn new(field: &ConjugateField, pair: f64, rim: f64) -> Self {
         let triangles = &field.mesh.triangles;
         let count = triangles.len();
@@ -122,7 +123,10 @@ impl Seams {
             let start = seams.outgoing[v];
             border[v] = start == NONE || seams.twin[start as usize] == NONE;
         }
-        seams.cancel(field, &border, pair, rim);
+        let followed = super::border::followed(&field.mesh, edges, &field.aligned_sides);
+        let on_followed = |v: usize| followed.contains_key(&(v as u32)) && border[v];
+        let held: Vec<bool> = (0..vertex_count).map(on_followed).collect();
+        seams.cancel(field, &border, &held, pair, rim);
         for v in (0..vertex_count).filter(|&v| !border[v]) {
             if seams.turns_around(v) != 0 {
                 seams.singular.push(v as u32);
@@ -162,8 +166,8 @@ impl Seams {
     }
 
     /// Takes out singularities that no grid of this size can resolve, by turning the matching along the path between two of opposite
-    /// index, or from one to the border.
-    fn cancel(&mut self, field: &ConjugateField, border: &[bool], pair: f64, rim: f64) {
+    /// index, or from one to the border where that is not `held` by the field.
+    fn cancel(&mut self, field: &ConjugateField, border: &[bool], held: &[bool], pair: f64, rim: f64) {
         let singular: Vec<u32> =
             (0..border.len() as u32).filter(|&v| !border[v as usize] && self.turns_around(v as usize) != 0).collect();
         // (path length, start, end, half-edges from the end back to the start)
@@ -178,7 +182,8 @@ impl Seams {
                 if d > distance[v as usize] {
                     continue;
                 }
-                let ends_here = (border[v as usize] && d < rim) || (v > s && d < pair && singular.contains(&v));
+                let ends_here = (border[v as usize] && !held[v as usize] && d < rim)
+                    || (v > s && d < pair && singular.contains(&v));
                 if ends_here {
                     let (mut path, mut w) = (vec![], v);
                     while w != s {

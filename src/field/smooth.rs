@@ -1,5 +1,7 @@
 //! The smoothest conjugate field under constraints.
 
+use super::border::{Corner, corners, followed, inner_angle};
+use super::cancel::{inward, paths};
 use super::coarse::Coarse;
 use super::conjugate::{SecondForm, second_forms};
 use super::conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
@@ -13,7 +15,8 @@ use crate::control::Control;
 use crate::error::Error;
 use crate::surface::SurfaceMesh;
 use nalgebra::{Complex, Vector3};
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
+use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 
 /// One of the two families follows a direction on a triangle; the solver decides which.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -172,15 +175,16 @@ fn solve(
     }
     control.step("field", 0.0)?;
     let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles)?;
+    let corners = corners(&mesh, &edges, &options.aligned_sides);
     if let Some(fixed) = fixed {
-        prescribe::check(&mesh, &edges, &options.aligned_sides, fixed)?;
+        prescribe::check(&mesh, &edges, &options.aligned_sides, &corners, fixed)?;
     }
     let frames = TriangleFrames::new(&mesh, &edges)?;
     let mut constraints = constraints.to_vec();
     border_constraints(&mesh, &edges, &options.aligned_sides, &mut constraints);
     let forms = second_forms(&mesh, &frames);
-    let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms };
-    let Layout { crosses, jumps, iterations } = layout(&patch, guess, &constraints, fixed, options, control)?;
+    let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &corners };
+    let Layout { crosses, jumps, iterations, .. } = layout(&patch, guess, &constraints, fixed, options, control)?;
     control.step("field", 0.8)?;
     let layout = directions(&frames, &crosses);
     let problem = Problem::new(&patch, Conjugacy::Exact, guess, &constraints, options)?;
@@ -206,6 +210,7 @@ fn solve(
         matching,
         singularities,
         fixed_singularities,
+        aligned_sides: options.aligned_sides,
         lines,
         parallels,
         diagnostics,
@@ -265,20 +270,10 @@ fn border_constraints(
     sides: &[bool; 4],
     constraints: &mut Vec<DirectionConstraint>,
 ) {
-    let [nu, nv] = mesh.cells.map(|c| c as u32);
-    for e in (0..edges.len()).filter(|&e| edges.is_border(e)) {
-        let grid = edges.vertices[e].map(|v| [v / (nv + 1), v % (nv + 1)]);
-        let on = [
-            grid.iter().all(|g| g[0] == 0),
-            grid.iter().all(|g| g[0] == nu),
-            grid.iter().all(|g| g[1] == 0),
-            grid.iter().all(|g| g[1] == nv),
-        ];
-        if (0..4).any(|k| on[k] && sides[k]) {
-            let [a, b] = edges.vertices[e].map(|v| mesh.position(v));
-            let triangle = edges.triangles[e][0];
-            constraints.push(DirectionConstraint { triangle, direction: b - a, weight: f64::INFINITY });
-        }
+    for &e in followed(mesh, edges, sides).values() {
+        let [a, b] = edges.vertices[e as usize].map(|v| mesh.position(v));
+        let triangle = edges.triangles[e as usize][0];
+        constraints.push(DirectionConstraint { triangle, direction: b - a, weight: f64::INFINITY });
     }
 }
 
@@ -297,12 +292,15 @@ struct Patch<'a> {
     edges: &'a EdgeTopology,
     frames: &'a TriangleFrames,
     forms: &'a [SecondForm],
+    /// Corners of the border that the field follows.
+    corners: &'a [Corner],
 }
 
 /// Crosses whose conjugacy is soft, and the quarter turns across edges that their topology consists of.
 struct Layout {
     crosses: Vec<Cross>,
     jumps: Vec<i32>,
+    singularities: Vec<Singularity>,
     iterations: usize,
 }
 
@@ -338,21 +336,19 @@ fn layout(
                     problem.optimize(&mut problem.system()?, crosses, Some(&jumps), most, control)?;
                 (crosses, jumps, spent)
             }
-            None => {
-                let (crosses, spent) = problem.settle(crosses, control)?;
-                let jumps = problem.nearest_jumps(&crosses);
-                (crosses, jumps, spent)
-            }
+            None => problem.settle(crosses, control)?,
         };
-        return Ok(Layout { crosses, jumps, iterations });
+        let singularities = problem.singularities(&crosses, &jumps);
+        return Ok(Layout { crosses, jumps, singularities, iterations });
     }
     let coarse = Coarse::new(patch.mesh, guess, constraints)?;
     let edges = EdgeTopology::new(coarse.mesh.points.len(), &coarse.mesh.triangles)?;
     let frames = TriangleFrames::new(&coarse.mesh, &edges)?;
     let forms = coarse.forms(patch.frames, patch.forms, &frames);
-    let below = Patch { mesh: &coarse.mesh, edges: &edges, frames: &frames, forms: &forms };
+    let corners = coarse.corners(patch.mesh.cells, patch.corners);
+    let below = Patch { mesh: &coarse.mesh, edges: &edges, frames: &frames, forms: &forms, corners: &corners };
     let fixed_below = fixed.map(|fixed| coarse.singularities(patch.mesh.cells, fixed));
-    let Layout { crosses, iterations, .. } =
+    let Layout { crosses, singularities, iterations, .. } =
         layout(&below, coarse.guess.as_deref(), &coarse.constraints, fixed_below.as_deref(), options, control)?;
     let start: Vec<Cross> = (0..patch.mesh.triangles.len())
         .map(|t| {
@@ -361,12 +357,29 @@ fn layout(
             problem.allowed(t, &Cross::from_angles(angle(crosses[c].u()), angle(crosses[c].v())))
         })
         .collect();
+    let mut system = problem.system()?;
     let (jumps, most) = match fixed {
         Some(fixed) => (problem.prescribed_jumps(&start, fixed), options.iterations),
-        None => (problem.nearest_jumps(&start), FINE_ITERATIONS),
+        None => (problem.bordered_jumps(&start), FINE_ITERATIONS),
     };
-    let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), most, control)?;
-    Ok(Layout { crosses, jumps, iterations: iterations + more })
+    let kept = match fixed {
+        None if !problem.followed.is_empty() => {
+            problem.prescribed_jumps(&start, &coarse.refined(patch.mesh.cells, &singularities))
+        }
+        _ => jumps.clone(),
+    };
+    let (mut crosses, mut more) = problem.optimize(&mut system, start.clone(), Some(&jumps), most, control)?;
+    let mut jumps = jumps;
+    if kept != jumps {
+        // Where the start turns at once into the border's direction the nearest quarter turns may be others than on the mesh below.
+        let (trial, spent) = problem.optimize(&mut system, start, Some(&kept), most, control)?;
+        more += spent;
+        if problem.cost(&trial, &kept) <= problem.cost(&crosses, &jumps) {
+            (crosses, jumps) = (trial, kept);
+        }
+    }
+    let singularities = problem.singularities(&crosses, &jumps);
+    Ok(Layout { crosses, jumps, singularities, iterations: iterations + more })
 }
 
 /// Unit vectors along u and v of each cross.
@@ -423,11 +436,14 @@ struct Problem<'a> {
     has_guess: bool,
     floor: f64,
     options: &'a FieldOptions,
+    /// The border that the field follows: edges by the vertex that they leave, and quarter turns of the border by vertex.
+    followed: BTreeMap<u32, u32>,
+    corners: BTreeMap<u32, i32>,
 }
 
 impl<'a> Problem<'a> {
     fn new(
-        &Patch { mesh, edges, frames, forms }: &Patch<'a>,
+        &Patch { mesh, edges, frames, forms, corners }: &Patch<'a>,
         conjugacy: Conjugacy,
         guess: Option<&[[Vector3<f64>; 2]]>,
         constraints: &[DirectionConstraint],
@@ -473,6 +489,8 @@ impl<'a> Problem<'a> {
             floor,
             options,
             flat,
+            followed: followed(mesh, edges, &options.aligned_sides),
+            corners: corners.iter().map(|c| (c.vertex, c.turns)).collect(),
         };
         for t in 0..count {
             problem.freedom[t] = match (problem.flat[t] || !exact, problem.forms[t].by_bisector()) {
@@ -838,36 +856,76 @@ impl<'a> Problem<'a> {
         Ok((crosses, most))
     }
 
-    /// Gauss-Newton from `crosses`, then without the singularities that nothing asks for; and the iterations spent.
+    /// Gauss-Newton from `crosses`, then with the border where the field follows it, then without the singularities that nothing asks for; with
+    /// the quarter turns across edges, and the iterations spent.
     ///
     /// Moving the charges of the singularities together, or over the border, by quarter turns across the edges of paths between them makes
     /// a field without them, cracked along the paths; Gauss-Newton closes the cracks where neither conjugacy nor constraints need
     /// them. The result counts if it has fewer singularities at little more energy: first all at once, then close pairs only.
-    fn settle(&self, crosses: Vec<Cross>, control: &Control) -> Result<(Vec<Cross>, usize), Error> {
+    fn settle(&self, crosses: Vec<Cross>, control: &Control) -> Result<(Vec<Cross>, Vec<i32>, usize), Error> {
         let mut system = self.system()?;
-        let most = self.options.iterations;
-        let (mut crosses, mut iterations) = self.optimize(&mut system, crosses, None, most, control)?;
+        let (crosses, mut iterations) = self.optimize(&mut system, crosses, None, self.options.iterations, control)?;
+        let jumps = self.bordered_jumps(&crosses);
+        let (mut crosses, mut jumps, spent) = if jumps == self.nearest_jumps(&crosses) {
+            (crosses, jumps, 0)
+        } else {
+            self.closed(&mut system, crosses, jumps, control)?
+        };
+        iterations += spent;
         let size = self.frames.areas.iter().sum::<f64>().sqrt();
         let rigidity = self.rigidity();
-        for (reach, saving) in [(f64::INFINITY, FAR_PAIR_ENERGY), (CLOSE_PAIR * size, CLOSE_PAIR_ENERGY)] {
-            let (_, singularities) = self.matched(&crosses);
-            let paths = super::cancel::paths(self.mesh, self.edges, &rigidity, &singularities, reach, &|_| true);
-            if paths.is_empty() {
+        let far = if self.followed.is_empty() { FAR_PAIR_ENERGY } else { ALIGNED_PAIR_ENERGY };
+        for (reach, saving) in [(f64::INFINITY, far), (CLOSE_PAIR * size, CLOSE_PAIR_ENERGY)] {
+            let singularities = self.singularities(&crosses, &jumps);
+            let near = |a: u32, b: u32| (self.mesh.position(a) - self.mesh.position(b)).norm() <= reach;
+            let leaves = |a: u32, v: u32| near(a, v) && !self.followed.contains_key(&v);
+            let (turns, _) = paths(self.mesh, self.edges, &rigidity, &singularities, &near, &leaves);
+            if turns.is_empty() {
                 continue;
             }
-            let mut jumps = self.nearest_jumps(&crosses);
-            paths.iter().for_each(|&(edge, quarters)| jumps[edge as usize] += quarters);
-            let most = most.min(REMOVAL_ITERATIONS);
-            let (trial, spent) = self.optimize(&mut system, crosses.clone(), Some(&jumps), most, control)?;
-            let (trial, more) = self.optimize(&mut system, trial, None, most, control)?;
-            iterations += spent + more;
-            let left = self.matched(&trial).1.len();
+            let mut turned = jumps.clone();
+            turns.iter().for_each(|&(edge, quarters)| turned[edge as usize] += quarters);
+            let (trial, turned, spent) = self.closed(&mut system, crosses.clone(), turned, control)?;
+            iterations += spent;
+            let left = self.singularities(&trial, &turned).len();
             let allowed = saving * (singularities.len() as f64 - left as f64);
-            if left < singularities.len() && self.energy(&trial, None) <= self.energy(&crosses, None) + allowed {
-                crosses = trial;
+            let energies = [(&trial, &turned), (&crosses, &jumps)].map(|(c, j)| self.energy(c, Some(j)));
+            if left < singularities.len() && energies[0] <= energies[1] + allowed {
+                (crosses, jumps) = (trial, turned);
             }
         }
-        Ok((crosses, iterations))
+        Ok((crosses, jumps, iterations))
+    }
+
+    /// Gauss-Newton with the cracks of `jumps`, then with the smallest rotations, so that singularities find their places. Where the field follows
+    /// the border, that counts if none leaves over it, and if it costs no more than to keep to `jumps` on and on.
+    fn closed(
+        &self,
+        system: &mut TriangleSystem,
+        crosses: Vec<Cross>,
+        jumps: Vec<i32>,
+        control: &Control,
+    ) -> Result<(Vec<Cross>, Vec<i32>, usize), Error> {
+        let most = self.options.iterations.min(REMOVAL_ITERATIONS);
+        let (crosses, spent) = self.optimize(system, crosses, Some(&jumps), most, control)?;
+        let (free, more) = self.optimize(system, crosses.clone(), None, most, control)?;
+        let nearest = self.nearest_jumps(&free);
+        if self.followed.is_empty() {
+            return Ok((free, nearest, spent + more));
+        }
+        let (held, last) = self.optimize(system, crosses, Some(&jumps), self.options.iterations, control)?;
+        let spent = spent + more + last;
+        let turns_with_border = self.border_charges(&free, &nearest).is_empty();
+        if turns_with_border && self.cost(&free, &nearest) <= self.cost(&held, &jumps) {
+            return Ok((free, nearest, spent));
+        }
+        Ok((held, jumps, spent))
+    }
+
+    /// Energy of crosses with these quarter turns, and what their singularities count for on a border that the field follows.
+    fn cost(&self, crosses: &[Cross], jumps: &[i32]) -> f64 {
+        let singularities = self.singularities(crosses, jumps).len();
+        self.energy(crosses, Some(jumps)) + ALIGNED_PAIR_ENERGY * singularities as f64
     }
 
     /// Matching of the smallest rotations, and the singularities.
@@ -876,6 +934,15 @@ impl<'a> Problem<'a> {
             let (k, rotation, _) = self.across(e, crosses, None);
             (k, rotation)
         })
+    }
+
+    /// The singularities of crosses with these quarter turns.
+    fn singularities(&self, crosses: &[Cross], jumps: &[i32]) -> Vec<Singularity> {
+        let across = |e| {
+            let (k, rotation, _) = self.across(e, crosses, Some(jumps));
+            (k, rotation)
+        };
+        match_edges(self.mesh, self.edges, across).1
     }
 
     /// Quarter turns across each edge that make the rotation smallest.
@@ -890,23 +957,91 @@ impl<'a> Problem<'a> {
         jumps
     }
 
-    /// Quarter turns across each edge with which `crosses` have the `fixed` singularities and no others.
+    /// Quarter turns across each edge with which `crosses` have the `fixed` singularities and no others, and turn with the border that they
+    /// follow; what does not match leaves over the border where they do not.
     fn prescribed_jumps(&self, crosses: &[Cross], fixed: &[Singularity]) -> Vec<i32> {
         let mut jumps = self.nearest_jumps(crosses);
-        let present = self.matched(crosses).1;
+        let mut present = self.matched(crosses).1;
+        present.extend(self.border_charges(crosses, &jumps));
+        let charges = prescribe::charges(&present, fixed);
+        let leaves = |_, v: u32| !self.followed.contains_key(&v);
+        let (turns, _) = paths(self.mesh, self.edges, &self.crack_rigidity(), &charges, &|_, _| true, &leaves);
+        turns.iter().for_each(|&(edge, quarters)| jumps[edge as usize] += quarters);
+        jumps
+    }
+
+    /// Border vertices that the cross passes with other quarter turns than the border, both as it should: index 1 where a quad is missing, -1
+    /// where there is one too many.
+    fn border_charges(&self, crosses: &[Cross], jumps: &[i32]) -> Vec<Singularity> {
+        let mut charges = vec![];
+        let number = |t: u32, from: u32, to: u32| {
+            let along = self.mesh.position(to) - self.mesh.position(from);
+            let angle = self.frames.angle(t as usize, &along);
+            let cross = &crosses[t as usize];
+            let off = |i: i32| {
+                let own = if i % 2 == 0 { cross.u() } else { cross.v() } + PI * f64::from(i / 2);
+                wrap(own - angle, TAU).abs()
+            };
+            (0..4).min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0)
+        };
+        for &edge in self.followed.values() {
+            let [before, vertex] = self.edges.vertices[edge as usize];
+            let Some(&next) = self.followed.get(&vertex) else { continue };
+            let fan = self.edges.fan(vertex);
+            let turned: i32 = fan
+                .windows(2)
+                .filter_map(|pair| {
+                    let e = self.edges.between(pair[0], pair[1])? as usize;
+                    Some(if self.edges.triangles[e][0] == pair[0] { jumps[e] } else { -jumps[e] })
+                })
+                .sum();
+            let out = number(fan[0], vertex, self.edges.vertices[next as usize][1]);
+            let back = number(fan[fan.len() - 1], vertex, before);
+            let wanted = 2 - self.corners.get(&vertex).copied().unwrap_or(0);
+            // Quads are known up to four, by the angle at the vertex.
+            let most = inner_angle(self.mesh, self.edges, vertex) / FRAC_PI_2 - f64::from(wanted);
+            let index = (wanted - (back - out - turned)).rem_euclid(4);
+            let index = if index > 2 || (index == 2 && most > 0.0) { index - 4 } else { index };
+            if index != 0 {
+                charges.push(Singularity { vertex, index });
+            }
+        }
+        charges
+    }
+
+    /// The nearest quarter turns, but with the border where the field follows it: a charge of the border meets the nearest opposite one, or
+    /// moves inside.
+    fn bordered_jumps(&self, crosses: &[Cross]) -> Vec<i32> {
+        let mut jumps = self.nearest_jumps(crosses);
+        let border = self.border_charges(crosses, &jumps);
+        if border.is_empty() {
+            return jumps;
+        }
+        let mut charges = self.matched(crosses).1;
+        charges.extend(&border);
+        let on_border = |v: u32| self.edges.is_border_vertex(v);
+        let meet = |a: u32, b: u32| on_border(a) || on_border(b);
+        let leaves = |a: u32, v: u32| on_border(a) && !self.followed.contains_key(&v);
+        let rigidity = self.crack_rigidity();
+        let (turns, mut left) = paths(self.mesh, self.edges, &rigidity, &charges, &meet, &leaves);
+        turns.iter().for_each(|&(edge, quarters)| jumps[edge as usize] += quarters);
+        left.retain(|charge| on_border(charge.vertex));
+        let depth = INWARD * self.frames.areas.iter().sum::<f64>().sqrt();
+        let turns = inward(self.mesh, self.edges, &rigidity, &left, depth);
+        turns.iter().for_each(|&(edge, quarters)| jumps[edge as usize] += quarters);
+        jumps
+    }
+
+    /// How dear a crack is on each triangle, where it could not close across a line that the field follows.
+    fn crack_rigidity(&self) -> Vec<f64> {
         let mut rigidity = self.rigidity();
-        // A crack across a line that the field follows could not close.
         for &(t, _, weight) in &self.soft {
             rigidity[t] += weight;
         }
         for (rigid, hard) in rigidity.iter_mut().zip(&self.hard) {
             *rigid += if hard.is_some() { HARD_WEIGHT } else { 0.0 };
         }
-        let sides = &self.options.aligned_sides;
-        for (edge, quarters) in prescribe::turns(self.mesh, self.edges, &rigidity, sides, &present, fixed) {
-            jumps[edge as usize] += quarters;
-        }
-        jumps
+        rigidity
     }
 
     /// How firmly each triangle holds its cross, from 0 (free to turn) to 1.
@@ -1035,6 +1170,8 @@ const INITIAL_ROUNDS: usize = 3;
 /// (pi / 2)^2 / (2 pi) log n, 1.4 for n = 40; far ones give the lines room to spread, close pairs no mesh can show.
 const FAR_PAIR_ENERGY: f64 = 0.3;
 const CLOSE_PAIR_ENERGY: f64 = 1.5;
+/// The same for far ones where the field follows the border: a border that turns away from what conjugacy asks for makes singularities on its own.
+const ALIGNED_PAIR_ENERGY: f64 = 0.6;
 /// Most Gauss-Newton iterations with, and again without, the jumps of a removal.
 const REMOVAL_ITERATIONS: usize = 4;
 /// Most cells along a side of the mesh on which the layout finds its topology.
@@ -1046,6 +1183,8 @@ const FINE_ITERATIONS: usize = 4;
 const EXACT_ITERATIONS: usize = 3;
 /// Share of the energy that an iteration has to gain for another one.
 const GAIN: f64 = 3e-3;
+/// Distance from the border to which a charge of it moves inside, in square roots of the area.
+const INWARD: f64 = 0.12;
 /// Distance of singularities that count as a close pair, in square roots of the area.
 const CLOSE_PAIR: f64 = 0.15;
 /// Damping at which no step is to be hoped for.
@@ -1272,11 +1411,11 @@ mod tests {
                 .collect();
             let options = FieldOptions::default();
             let forms = second_forms(&mesh, &frames);
-            let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms };
+            let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &[] };
             let problem = Problem::new(&patch, Conjugacy::Soft, None, &[], &options).unwrap();
             let indices: Vec<i32> = problem.matched(&crosses).1.iter().map(|s| s.index).collect();
             assert_eq!((indices.len(), indices.iter().sum::<i32>()), (2, 0));
-            let (settled, _) = problem.settle(crosses, &Control::default()).unwrap();
+            let (settled, ..) = problem.settle(crosses, &Control::default()).unwrap();
             assert!(problem.matched(&settled).1.is_empty());
             assert!(problem.energy(&settled, None) < 1e-3);
         }

@@ -8,7 +8,7 @@ use super::planar_map::{Course, NONE, Place, PlanarMap};
 use super::topology;
 use crate::control::Control;
 use crate::error::Error;
-use crate::field::{ConjugateField, Density, Integrator, MapOptions, SeamlessMap, SideFit};
+use crate::field::{ConjugateField, Density, Integrator, MapOptions, SeamlessMap};
 use crate::surface::NurbsSurface;
 
 /// Where a vertex of the mesh comes from.
@@ -121,9 +121,6 @@ pub fn panels(
     control: &Control,
 ) -> Result<ExtractedMesh, Error> {
     let mut map_options = *map_options;
-    if options.border == BorderMode::Aligned {
-        map_options.sides = SideFit::Always;
-    }
     map_options.density = match target {
         PanelTarget::EdgeLength(edge) => Density::EdgeLength(edge),
         PanelTarget::Faces(faces) => Density::CellCount(faces.max(1) as f64),

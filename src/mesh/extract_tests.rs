@@ -1,7 +1,7 @@
 //! Fields of known layout, their maps and panels.
 
 use super::*;
-use crate::field::{Cross, EdgeTopology, FieldDiagnostics, TriangleFrames, integrate, match_field};
+use crate::field::{Cross, EdgeTopology, FieldDiagnostics, SideFit, TriangleFrames, integrate, match_field};
 use crate::surface::SurfaceMesh;
 use nalgebra::{Point3, Vector3};
 
@@ -28,6 +28,7 @@ fn field_of(mesh: SurfaceMesh, directions: impl Fn(usize, Point3<f64>) -> [Vecto
         matching,
         singularities,
         fixed_singularities: false,
+        aligned_sides: [false; 4],
         lines,
         parallels: vec![],
         diagnostics,

@@ -24,7 +24,8 @@ pub struct SurfaceMesh {
 }
 
 impl SurfaceMesh {
-    /// Samples `surface` on a grid of `cells` cells; the diagonal of each cell is its shorter one.
+    /// Samples `surface` on a grid of `cells` cells; the diagonal of each cell is its shorter one, but at the patch's corners it ends there, so
+    /// that no triangle has two edges on the border.
     ///
     /// # Errors
     /// [`Error::Degenerate`] if the surface has no normal at an inner grid point.
@@ -88,7 +89,7 @@ impl SurfaceMesh {
     }
 }
 
-/// Two triangles for each cell of a grid of points, cut along the shorter diagonal.
+/// Two triangles for each cell of a grid of points, cut along the diagonal that ends in a corner of the grid, else along the shorter one.
 fn triangulated([nu, nv]: [usize; 2], points: &[SurfacePoint]) -> Vec<[u32; 3]> {
     let mut triangles = Vec::with_capacity(2 * nu * nv);
     for i in 0..nu {
@@ -96,7 +97,11 @@ fn triangulated([nu, nv]: [usize; 2], points: &[SurfacePoint]) -> Vec<[u32; 3]> 
             let corner = |a: usize, b: usize| (i + a) * (nv + 1) + j + b;
             let length = |a: usize, b: usize| (points[a].position - points[b].position).norm();
             let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
-            let pair = if length(a, c) <= length(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
+            let [first, last] = [[i == 0, j == 0], [i + 1 == nu, j + 1 == nv]];
+            let rising = first == [true; 2] || last == [true; 2];
+            let falling = (first[0] && last[1]) || (last[0] && first[1]);
+            let along_ac = if rising == falling { length(a, c) <= length(b, d) } else { rising };
+            let pair = if along_ac { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
             triangles.extend(pair.map(|t| t.map(|k| k as u32)));
         }
     }
