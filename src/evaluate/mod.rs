@@ -5,7 +5,7 @@ pub mod metrics;
 mod sheet;
 mod table;
 
-pub use case::{Case, KEYS, measure};
+pub use case::{Case, KEYS, measure, surface_scores};
 pub use sheet::{Rank, sheet};
 pub use table::{groups, markdown, scores_json};
 
