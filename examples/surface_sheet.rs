@@ -5,10 +5,8 @@
 //! N-th, `--only 24,119` these numbers of the split, `--tile 900` makes tiles so wide, `--start` shows the surfaces before Gauss-Newton, `--write DIR`
 //! writes each sketch and surface as JSON; with `-` for the file nothing is drawn.
 
-use nalgebra::Point3;
-use sketch2pq::datagen::{DEPTH_OF_REFERENCE, Options, Sample};
-use sketch2pq::evaluate::Split;
-use sketch2pq::evaluate::metrics::{SurfaceSamples, chamfer};
+use sketch2pq::datagen::{Options, Sample};
+use sketch2pq::evaluate::{Split, surface_scores};
 use sketch2pq::mesh::PanelMesh;
 use sketch2pq::picture::{Frame, MeshPart, Picture, mesh_picture, overlay_sketch, surface_picture};
 use sketch2pq::pipeline::{Session, SessionOptions, SurfaceOptions, sketch_to_surface};
@@ -63,7 +61,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let result = sketch_to_surface(&mut session, &truth.sketch, &options)?;
         let patch = &result.patches[0];
         let d = &patch.diagnostics;
-        let (distance, angle) = errors(&patch.surface, &truth);
+        let (frame, view) = (truth.patch.frame, truth.sketch.view);
+        let canonical = patch.surface.mapped(|p| frame.point_from_camera(&view.world_to_camera(p)));
+        let (_, [distance, angle]) = surface_scores(&canonical, &truth);
         println!(
             "| {} | {} | {} | {:.2} | {:.1} | {} | {:.4} | {distance:.3} | {angle:.1} | {:.0} |",
             truth.seed,
@@ -100,24 +100,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         std::fs::write(file, sheet.to_png()?)?;
     }
     Ok(())
-}
-
-/// D_c and D_n as `sketch2pq evaluate` has them: without depth samples at the truth's mean depth.
-fn errors(surface: &NurbsSurface, truth: &Sample) -> (f64, f64) {
-    let (frame, view) = (truth.patch.frame, truth.sketch.view);
-    let surface = surface.mapped(|p| frame.point_from_camera(&view.world_to_camera(p)));
-    let mean = |surface: &NurbsSurface| {
-        let places = (0..1600).map(|k| [((k / 40) as f64 + 0.5) / 40.0, ((k % 40) as f64 + 0.5) / 40.0]);
-        let heights = places.map(|[s, t]| surface.at_fraction(s, t)).map(|[u, v]| surface.point(u, v).z);
-        heights.sum::<f64>() / 1600.0
-    };
-    let shift = if truth.sketch.depth_samples.is_empty() {
-        mean(&truth.surface) - mean(&surface)
-    } else {
-        DEPTH_OF_REFERENCE * frame.scale
-    };
-    let moved = surface.mapped(|p| Point3::new(p.x, p.y, p.z + shift));
-    chamfer(&SurfaceSamples::new(&moved, 100), &SurfaceSamples::new(&truth.surface, 100))
 }
 
 /// The surface under its strokes, and its parameter lines under them.

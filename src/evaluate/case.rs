@@ -208,9 +208,17 @@ fn in_canonical(result: &SurfaceResult, truth: &Sample) -> NurbsSurface {
     result.patches[0].surface.mapped(|p| truth.patch.frame.point_from_camera(&view.world_to_camera(p)))
 }
 
-/// D_c and D_n of a surface in the canonical frame; returned as measured: without depth samples moved to the truth's depth.
+/// D_c and D_n of a surface, by name; returned as measured.
 fn surface_errors(case: &mut Case, recovered: &NurbsSurface, truth: &Sample, keys: [&'static str; 2]) -> NurbsSurface {
-    let shift = if case.samples == 0 {
+    let (recovered, scores) = surface_scores(recovered, truth);
+    case.values.extend(keys.into_iter().zip(scores));
+    recovered
+}
+
+/// D_c and D_n of a surface in the canonical frame of the sketch, and the surface at the depth at which they are measured: without depth
+/// samples, where a sketch leaves it free, at the mean depth of the truth, over its area.
+pub fn surface_scores(recovered: &NurbsSurface, truth: &Sample) -> (NurbsSurface, [f64; 2]) {
+    let shift = if truth.sketch.depth_samples.is_empty() {
         mean_z(&truth.surface) - mean_z(recovered)
     } else {
         DEPTH_OF_REFERENCE * truth.patch.frame.scale
@@ -218,20 +226,22 @@ fn surface_errors(case: &mut Case, recovered: &NurbsSurface, truth: &Sample, key
     let recovered = recovered.mapped(|p| Point3::new(p.x, p.y, p.z + shift));
     let sampled = |surface: &NurbsSurface| SurfaceSamples::new(surface, SURFACE_SIDE);
     let (distance, angle) = chamfer(&sampled(&recovered), &sampled(&truth.surface));
-    case.values.extend(keys.into_iter().zip([distance, angle]));
-    recovered
+    (recovered, [distance, angle])
 }
 
-/// Mean z over the part of a surface that projects inside both, taken at even parameters.
+/// Mean z of a surface, over its area: that over the parameters would depend on how they are spread.
 fn mean_z(surface: &NurbsSurface) -> f64 {
-    let mut sum = 0.0;
+    let (mut sum, mut total) = (0.0, 0.0);
     for i in 0..40 {
         for j in 0..40 {
             let [u, v] = surface.at_fraction((i as f64 + 0.5) / 40.0, (j as f64 + 0.5) / 40.0);
-            sum += surface.point(u, v).z;
+            let point = surface.evaluate(u, v);
+            let area = point.du.cross(&point.dv).norm();
+            sum += area * point.position.z;
+            total += area;
         }
     }
-    sum / 1600.0
+    sum / total.max(f64::MIN_POSITIVE)
 }
 
 /// D_c with the four parameters of depth that a sketch leaves open removed: z' = s z + a x + b y + t, fitted to the nearest points

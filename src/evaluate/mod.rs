@@ -8,7 +8,7 @@ mod table;
 mod timing;
 
 pub use bars::{Bar, bars, bars_markdown};
-pub use case::{Case, KEYS, measure};
+pub use case::{Case, KEYS, measure, surface_scores};
 pub use sheet::{Rank, sheet};
 pub use table::{groups, markdown, scores_json};
 pub use timing::timing_markdown;
