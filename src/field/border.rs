@@ -26,12 +26,12 @@ pub(super) struct Corner {
 /// Border edges that the field follows, by the vertex that they leave counter-clockwise; edges of collapsed sides are none.
 pub(super) fn followed(mesh: &SurfaceMesh, edges: &EdgeTopology, sides: &[bool; 4]) -> BTreeMap<u32, u32> {
     let [nu, nv] = mesh.cells.map(|c| c as u32);
+    // Coordinate of the grid and its value on each side.
+    let lines = [(0, 0), (0, nu), (1, 0), (1, nv)];
     let follows = |e: &usize| {
         let ends = edges.vertices[*e];
         let grid = ends.map(|v| [v / (nv + 1), v % (nv + 1)]);
-        let on: [fn([u32; 2], [u32; 2]) -> bool; 4] =
-            [|g, _| g[0] == 0, |g, n| g[0] == n[0], |g, _| g[1] == 0, |g, n| g[1] == n[1]];
-        let followed = (0..4).any(|k| sides[k] && grid.iter().all(|&g| on[k](g, [nu, nv])));
+        let followed = lines.iter().zip(sides).any(|(&(k, value), &side)| side && grid.iter().all(|g| g[k] == value));
         followed && mesh.position(ends[0]) != mesh.position(ends[1])
     };
     let border = (0..edges.len()).filter(|&e| edges.is_border(e));
