@@ -444,6 +444,11 @@ typedef struct S2pqMeshReport {
   double border_covered;
   // Milliseconds of all stages together, from the sketch on.
   double time_ms;
+  // Largest distance between a vertex and the surface over what was allowed: 2 % of the patch's width or a fifth of its mean edge length,
+  // whichever is smaller, unless the host said otherwise. Above 1 planarity and closeness contradict each other.
+  double deviation_over_limit;
+  // Largest distance between a border vertex and the surface's border over the patch's width; 0 where border vertices are free.
+  double border_deviation_widths;
 } S2pqMeshReport;
 
 // Options of s2pq_planarize. Fill them by s2pq_planarize_options_init, then change what you need.
@@ -466,6 +471,9 @@ typedef struct S2pqPlanarizeOptions {
   double closeness;
   // Weight of the change of the second differences along the polylines. Default 0.5.
   double fairness;
+  // Weight of the squared distance from where each vertex started; above 0. Default 0.01: vertices slide within the surface. 1 and more, with
+  // little fairness: each stays near its place.
+  double anchor;
 } S2pqPlanarizeOptions;
 
 // A host's own polygon mesh, lent for a call. Set struct_size first.

@@ -168,6 +168,7 @@ class PlanarizeOptions(c.Structure):
         ("deviation", _f64),
         ("closeness", _f64),
         ("fairness", _f64),
+        ("anchor", _f64),
     ]
 
 
@@ -186,6 +187,8 @@ class MeshReport(c.Structure):
         ("edge_length_mean", _f64),
         ("border_covered", _f64),
         ("time_ms", _f64),
+        ("deviation_over_limit", _f64),
+        ("border_deviation_widths", _f64),
     ]
 
 
@@ -201,8 +204,8 @@ LAYOUT = {
     FieldDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
     MeshOptions: (40, [0, 4, 8, 12, 16, 24, 32, 36]),
     Polygons: (64, [0, 4, 8, 16, 24, 32, 40, 48, 56]),
-    PlanarizeOptions: (48, [0, 4, 8, 12, 16, 24, 32, 40]),
-    MeshReport: (72, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64]),
+    PlanarizeOptions: (56, [0, 4, 8, 12, 16, 24, 32, 40, 48]),
+    MeshReport: (88, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 72, 80]),
 }
 
 #: void (*S2pqProgress)(void *user, const char *stage, double fraction)

@@ -689,13 +689,14 @@ class Session(_Handle):
         deviation=None,
         closeness=None,
         fairness=None,
+        anchor=None,
         strict=None,
         offsets="any",
         hold="slide",
     ):
         """Your own polygons to planar ones: `faces` is a list of lists of vertices, `pins` are vertices that do not move.
 
-        They stay on `surface`, which has one patch, or without one on themselves. `offsets` is a key of OFFSETS, `hold` of HOLDS.
+        They stay on `surface`, which has one patch, or without one on themselves. A large `anchor` keeps each vertex near its place. `offsets` is a key of OFFSETS, `hold` of HOLDS.
         """
         array, pointer = _doubles(vertices, 3, "vertices")
         lists = [_indices(face, "faces") for face in faces]
@@ -720,6 +721,7 @@ class Session(_Handle):
             deviation=deviation,
             closeness=closeness,
             fairness=fairness,
+            anchor=anchor,
             strict=None if strict is None else int(bool(strict)),
             offsets=_number(OFFSETS, offsets, "offsets"),
             hold=_number(HOLDS, hold, "hold"),

@@ -131,9 +131,14 @@ pub struct S2pqMeshReport {
     pub border_covered: f64,
     /// Milliseconds of all stages together, from the sketch on.
     pub time_ms: f64,
+    /// Largest distance between a vertex and the surface over what was allowed: 2 % of the patch's width or a fifth of its mean edge length,
+    /// whichever is smaller, unless the host said otherwise. Above 1 planarity and closeness contradict each other.
+    pub deviation_over_limit: f64,
+    /// Largest distance between a border vertex and the surface's border over the patch's width; 0 where border vertices are free.
+    pub border_deviation_widths: f64,
 }
 
-// SAFETY: repr(C), size first, four u32 and seven f64: no padding, all bits valid.
+// SAFETY: repr(C), size first, four u32 and nine f64: no padding, all bits valid.
 unsafe impl Sized32 for S2pqMeshReport {
     const NAME: &'static str = "S2pqMeshReport";
     const DEFAULT: Self = Self {
@@ -148,6 +153,8 @@ unsafe impl Sized32 for S2pqMeshReport {
         edge_length_mean: 0.0,
         border_covered: 0.0,
         time_ms: 0.0,
+        deviation_over_limit: 0.0,
+        border_deviation_widths: 0.0,
     };
 }
 
@@ -400,6 +407,8 @@ pub unsafe extern "C" fn s2pq_mesh_report(mesh: *const S2pqMesh, report: *mut S2
             edge_length_mean: all.edge_length_mean,
             border_covered: all.border_covered.unwrap_or(0.0),
             time_ms: mesh.result.report.time_ms.total(),
+            deviation_over_limit: all.deviation_over_limit,
+            border_deviation_widths: all.border_deviation_widths,
         };
         // SAFETY: the host's promise.
         unsafe { fill(report, &value) }

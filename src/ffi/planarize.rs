@@ -74,9 +74,12 @@ pub struct S2pqPlanarizeOptions {
     pub closeness: f64,
     /// Weight of the change of the second differences along the polylines. Default 0.5.
     pub fairness: f64,
+    /// Weight of the squared distance from where each vertex started; above 0. Default 0.01: vertices slide within the surface. 1 and more, with
+    /// little fairness: each stays near its place.
+    pub anchor: f64,
 }
 
-// SAFETY: repr(C), size first, four u32 and four f64: no padding, all bits valid.
+// SAFETY: repr(C), size first, four u32 and five f64: no padding, all bits valid.
 unsafe impl Sized32 for S2pqPlanarizeOptions {
     const NAME: &'static str = "S2pqPlanarizeOptions";
     const DEFAULT: Self = Self {
@@ -88,6 +91,7 @@ unsafe impl Sized32 for S2pqPlanarizeOptions {
         deviation: 0.0,
         closeness: PlanarizeOptions::DEFAULT.closeness,
         fairness: PlanarizeOptions::DEFAULT.fairness,
+        anchor: PlanarizeOptions::DEFAULT.anchor,
     };
 }
 
@@ -136,6 +140,7 @@ pub unsafe extern "C" fn s2pq_planarize(
             deviation: (options.deviation != 0.0).then_some(options.deviation),
             closeness: options.closeness,
             fairness: options.fairness,
+            anchor: options.anchor,
             offsets: offsets(options.offsets)?,
             ..PlanarizeOptions::DEFAULT
         };

@@ -63,19 +63,25 @@ pub fn feature_pieces(lines: &[Vec<Point3<f64>>], mesh: &PanelMesh) -> Vec<Featu
         .map(|(f, face)| (f, BilinearPanel::new([0, 1, 2, 3].map(|k| mesh.vertices[face[k] as usize].coords))))
         .collect();
     let mut pieces = vec![];
+    // Of the piece before: most often also of the next one, which spares looking closely at the others.
+    let mut near = None;
     for ends in lines.iter().flat_map(|line| line.windows(2)) {
         let (along, middle) = (ends[1] - ends[0], nalgebra::center(&ends[0], &ends[1]).coords);
-        let mut best: Option<(f64, FeaturePiece)> = None;
-        for (face, quad) in &quads {
+        let mut best: Option<(f64, usize, [f64; 2])> = near.map(|k: usize| {
+            let (distance, place) = quads[k].1.closest(&middle);
+            (distance, k, place)
+        });
+        for (k, (_, quad)) in quads.iter().enumerate() {
             let least = (quad.center - middle).norm() - quad.radius;
-            if best.as_ref().is_none_or(|(distance, _)| least < *distance) {
+            if near != Some(k) && best.is_none_or(|(distance, ..)| least < distance) {
                 let (distance, place) = quad.closest(&middle);
-                if best.as_ref().is_none_or(|(nearest, _)| distance < *nearest) {
-                    best = Some((distance, FeaturePiece { along, face: *face, place }));
+                if best.is_none_or(|(nearest, ..)| distance < nearest) {
+                    best = Some((distance, k, place));
                 }
             }
         }
-        pieces.extend(best.map(|b| b.1));
+        near = best.map(|b| b.1);
+        pieces.extend(best.map(|(_, k, place)| FeaturePiece { along, face: quads[k].0, place }));
     }
     pieces
 }

@@ -3,6 +3,12 @@
 use super::panel_mesh::PanelMesh;
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 
+/// Sqrt 2 times the largest distance of a point from the centroid: the side for a square, whichever way it is turned.
+pub fn width(points: &[Point3<f64>]) -> f64 {
+    let center = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    2f64.sqrt() * points.iter().map(|p| (p.coords - center).norm()).fold(0.0, f64::max)
+}
+
 /// Planarity of each face; dimensionless, >= 0, 0 for a planar face.
 ///
 /// - Triangles: 0.

@@ -1,9 +1,10 @@
 //! Moves vertices until every face is planar.
 
+use super::border_trace::BorderTrace;
 use super::feature_lines::feature_pieces;
 use super::offsets::{AngleSum, OffsetKind, angle_sums};
 use super::panel_mesh::PanelMesh;
-use super::planarity::{edges, mean_edge_length, planarity};
+use super::planarity::{edges, mean_edge_length, planarity, width};
 use super::reference::{Foot, MeshReference, Reference};
 use super::split::split_faces;
 use crate::control::Control;
@@ -150,9 +151,10 @@ impl Planarized {
 /// tangent planes and border tangents at fresh closest points, anchoring, change of the polylines' second differences) under
 /// the linearized equations; the equality-constrained system is solved by a sparse Cholesky factorization of H + mu C^T C,
 /// whose symbolic part all rounds share, and multiplier updates. Where vertices leave the allowed deviation, their
-/// weights grow. The last rounds drop the soft gradient and only project onto the constraints.
+/// weights grow; so do those of the anchors where border vertices slide so far that an edge between them cuts a bend of the border short. The last
+/// rounds drop the soft gradient and only project onto the constraints.
 ///
-/// A planar mesh that turns a face over or collapses an edge is no answer: a step that would do so is shortened, and the edges there become
+/// A planar mesh that turns a face over or collapses an edge is no answer: vertices there go a part of their step only, and the edges there become
 /// stiffer; if the planar mesh does so all the same, the search goes on from the last sound state with edges stiffer still. If that does not
 /// help either, faces there are let off being planar: those in [`PlanarizeInput::splittable`], which then become triangles, and, at last, any
 /// that [`PlanarizeOptions::split_beyond`] allows. A planar mesh that leaves the allowed deviation gets a few attempts more in the same way.
@@ -234,12 +236,6 @@ fn border_turns(mesh: &PanelMesh) -> Vec<(u32, f64)> {
         .filter(|group| group.len() == 2)
         .map(|group| (group[0].0, (at(group[0].0) - at(group[0].1)).angle(&(at(group[1].1) - at(group[0].0)))))
         .collect()
-}
-
-/// Sqrt 2 times the largest distance of a point from the centroid: the side for a square, whichever way it is turned.
-fn width(points: &[Point3<f64>]) -> f64 {
-    let center = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
-    2f64.sqrt() * points.iter().map(|p| (p.coords - center).norm()).fold(0.0, f64::max)
 }
 
 /// Refuses what the rounds could not index or scale.
@@ -326,8 +322,26 @@ const COLLAPSED: f64 = 0.05;
 /// Distance from the border that no border vertex should exceed, in widths of the mesh.
 const BORDER_LIMIT: f64 = 1e-3;
 
+/// Distance from the nearest border edge that no point of the border should exceed, in mean edge lengths, unless it starts farther away.
+const BORDER_GAP: f64 = 0.09;
+
 /// Bound of closeness and border weights where they grow; stiffer ones slow the multipliers down.
 const LARGEST_WEIGHT: f64 = 1e5;
+
+/// Bound of the factor on the anchor weight of vertices on the border.
+const LARGEST_HOLD: f64 = 1e5;
+
+/// Step, in mean edge lengths, below which weights may grow before the search has settled.
+const GROWTH_STEP: f64 = 0.3;
+
+/// Share of the largest strain before one round that is left after it where it falls by itself.
+const FALLING: f64 = 0.8;
+
+/// Rounds in a row that are kept from going their way by the same face, after which the next attempt has to do something about it.
+const STUCK_ROUNDS: usize = 5;
+
+/// How often weights may grow in one search.
+const GROWTHS: usize = 8;
 
 /// Most attempts at a planar mesh that turns no face over and collapses no edge.
 const ATTEMPTS: usize = 9;
@@ -335,11 +349,14 @@ const ATTEMPTS: usize = 9;
 /// Newton rounds of the first attempt in search of the best compromise of the soft terms, and of each later one, which goes on from there.
 const BALANCE_ROUNDS: [usize; 2] = [40, 12];
 
-/// How often a step that would spoil the mesh is halved before it is left out.
+/// How often a step that would spoil the mesh is halved where it does, before it is left out there.
 const HALVINGS: usize = 2;
 
+/// How often a step is shortened in all, each time where it still would spoil the mesh, before it is left out everywhere.
+const SHORTENINGS: usize = 12;
+
 /// Attempts that answer a turned face or a collapsed edge by stiffer edges; later ones give up the planarity of faces there.
-const STIFFENINGS: usize = 2;
+const STIFFENINGS: usize = 1;
 
 /// Attempts to draw in a planar mesh that strays too far; all but the first let faces be split.
 const DRAWN_IN: usize = 5;
@@ -486,6 +503,9 @@ struct State<'a> {
     asked: Vec<Point3<f64>>,
     /// Weight of the distance of each vertex from where it started.
     anchors: Vec<f64>,
+    /// Factor on that weight where the border is left behind.
+    hold: Vec<f64>,
+    border_trace: BorderTrace,
     /// Factor on the closeness and border weight of each vertex.
     emphasis: Vec<f64>,
     /// Multipliers of each face, one for each corner.
@@ -552,6 +572,8 @@ impl<'a> State<'a> {
             pinned,
             feet: vec![],
             anchors: vec![options.anchor; count],
+            hold: vec![1.0; count],
+            border_trace: BorderTrace::default(),
             emphasis: vec![1.0; count],
             multipliers: input.mesh.faces().map(|f| vec![0.0; f.len()]).collect(),
             stiffness: vec![1.0; edges.len()],
@@ -574,6 +596,9 @@ impl<'a> State<'a> {
             return Err(Error::NotFinite { what: "closest point on the reference of vertex", index });
         }
         state.at_corner = (0..count).map(|v| state.is_at_corner(v)).collect();
+        let allowed = BORDER_GAP * edge;
+        state.border_trace =
+            BorderTrace::new(&state.vertices, &border_sides(input.mesh), &state.on_border, reference, edge, allowed);
         for (v, turn) in border_turns(input.mesh) {
             if state.on_border[v as usize] {
                 state.anchors[v as usize] *= 1.0 + TURN_ANCHOR * turn * turn;
@@ -617,6 +642,13 @@ impl<'a> State<'a> {
     fn strain(&self, vertex: usize) -> f64 {
         let limit = if self.on_border[vertex] { self.border_limit } else { self.limit };
         self.distance(vertex) / limit
+    }
+
+    /// The same for each vertex, and for those on the border how far the border is from edges there over what it should be, if that is more.
+    fn strains(&self) -> Vec<f64> {
+        let mut strains = self.border_trace.strains(&self.vertices);
+        strains.iter_mut().enumerate().for_each(|(v, strain)| *strain = strain.max(self.strain(v)));
+        strains
     }
 
     /// Distance of a vertex from the reference, exact to second order in its motion since its foot was asked for.
@@ -689,14 +721,13 @@ impl<'a> State<'a> {
     }
 
     /// Answers to a spoiled mesh, the milder ones first: stiffer edges, there above all; then faces there that need not be
-    /// planar because they may be split; at last, where any may be split, the spoiled ones.
+    /// planar because they may be split; where those do not help and any may be split, the spoiled ones.
     fn repair(&mut self, spoiled: &Spoiled, attempt: usize) {
         self.stiffen(spoiled, STIFFENING);
         if attempt >= STIFFENINGS {
             let mut faces = self.faces_at(&self.edges_of(spoiled));
             faces.retain(|&f| self.may_split[f]);
-            let is_last = attempt + 2 >= ATTEMPTS && faces.iter().all(|&f| self.freed[f]);
-            if is_last && self.options.split_beyond.is_some() {
+            if self.options.split_beyond.is_some() && faces.iter().all(|&f| self.freed[f]) {
                 faces.clone_from(&spoiled.faces);
             }
             faces.iter().for_each(|&f| self.freed[f] = true);
@@ -705,21 +736,22 @@ impl<'a> State<'a> {
 
     /// Lets faces off being planar that may be split and have a corner farther from the reference than it should be.
     fn release_strained(&mut self) {
-        let strained: Vec<bool> = (0..self.vertices.len()).map(|v| self.strain(v) > 1.0).collect();
+        let strains = self.strains();
         for (f, face) in self.input.mesh.faces().enumerate() {
-            self.freed[f] |= self.may_split[f] && face.iter().any(|&v| strained[v as usize]);
+            self.freed[f] |= self.may_split[f] && face.iter().any(|&v| strains[v as usize] > 1.0);
         }
     }
 
-    /// Largest distance of a vertex from the reference over what it should not exceed.
+    /// Largest of [`State::strains`].
     fn largest_strain(&self) -> f64 {
-        (0..self.vertices.len()).map(|v| self.strain(v)).fold(0.0, f64::max)
+        self.strains().into_iter().fold(0.0, f64::max)
     }
 
     fn restart(&mut self) {
         self.vertices.clone_from(&self.input.mesh.vertices);
         self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
         self.emphasis.fill(1.0);
+        self.hold.fill(1.0);
         self.refresh(0.0);
     }
 
@@ -760,52 +792,92 @@ impl<'a> State<'a> {
         self.compromise(control)
     }
 
-    /// One round after which no face is turned over and no edge collapsed that was not before: a step that would do so is shortened, and the edges
-    /// there become stiffer.
-    fn sound_round(&mut self, control: &Control) -> Result<f64, Error> {
+    /// One round after which no face is turned over and no edge collapsed that was not before: vertices there go a part of their way only, and
+    /// the edges there become stiffer. Returns the longest step, in mean edges, and the faces that stayed where they were.
+    fn sound_round(&mut self, control: &Control) -> Result<(f64, Vec<usize>), Error> {
         let before = self.vertices.clone();
         let step = self.round(Phase::Balance, control)?;
-        for _ in 0..HALVINGS {
+        let mut stuck = vec![];
+        for shortening in 0..SHORTENINGS {
             let spoiled = self.spoiled(f64::INFINITY);
             if spoiled.is_empty() {
-                return Ok(step);
+                break;
             }
-            self.stiffen(&spoiled, 1.0);
-            self.vertices.iter_mut().zip(&before).for_each(|(p, q)| *p = nalgebra::center(p, q));
+            let share = if shortening < HALVINGS { 0.5 } else { 0.0 };
+            if shortening < HALVINGS {
+                self.stiffen(&spoiled, 1.0);
+            } else if shortening == HALVINGS {
+                stuck.clone_from(&spoiled.faces);
+            }
+            for v in self.vertices_of(&spoiled) {
+                self.vertices[v] = before[v] + (self.vertices[v] - before[v]) * share;
+            }
+            if shortening + 1 == SHORTENINGS && !self.spoiled(f64::INFINITY).is_empty() {
+                self.vertices.clone_from(&before);
+            }
         }
-        if !self.spoiled(f64::INFINITY).is_empty() {
-            self.vertices = before;
-        }
-        Ok(step)
+        Ok((step, stuck))
+    }
+
+    /// The corners of the spoiled faces and the ends of the spoiled edges, ascending.
+    fn vertices_of(&self, spoiled: &Spoiled) -> Vec<usize> {
+        let mesh = self.input.mesh;
+        let corners = spoiled.faces.iter().flat_map(|&f| mesh.face(f)).copied();
+        let ends = spoiled.edges.iter().flat_map(|&e| self.edges[e]);
+        let mut vertices: Vec<usize> = corners.chain(ends).map(|v| v as usize).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices
     }
 
     /// Minimum of the soft terms under the constraints; where vertices leave the allowed deviation, their weights grow.
     fn balance(&mut self, rounds: usize, control: &Control) -> Result<(), Error> {
         let end = (self.rounds + rounds).min(self.options.rounds);
-        let largest = [self.options.closeness, self.options.border].map(|w| (LARGEST_WEIGHT / w).max(1.0));
-        for attempt in 0..6 {
-            let mut shortest = f64::INFINITY;
-            let mut idle = 0;
-            while self.rounds < end {
-                let step = self.sound_round(control)?;
-                // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
-                idle = if step > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
-                if step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3 {
-                    break;
-                }
-                shortest = shortest.min(step);
-            }
-            self.refresh(STALE);
-            if self.largest_strain() <= 0.9 || attempt == 5 || self.rounds + 6 >= end {
+        let (mut shortest, mut idle, mut growths) = (f64::INFINITY, 0, 0);
+        let mut last_strain = 0.0;
+        // Faces that kept all rounds so far from going their way, and how many.
+        let (mut stuck, mut stuck_for) = (vec![], 0);
+        while self.rounds < end {
+            let (step, faces) = self.sound_round(control)?;
+            let same: Vec<usize> = faces.iter().copied().filter(|f| stuck.contains(f)).collect();
+            (stuck, stuck_for) = if same.is_empty() { (faces, 0) } else { (same, stuck_for + 1) };
+            if stuck_for >= STUCK_ROUNDS {
                 break;
             }
-            for v in 0..self.vertices.len() {
-                let ratio = self.strain(v) / 0.7;
-                self.emphasis[v] =
-                    (self.emphasis[v] * (ratio * ratio).clamp(1.0, 30.0)).min(largest[usize::from(self.on_border[v])]);
+            // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
+            idle = if step > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
+            let is_settled =
+                step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3;
+            shortest = shortest.min(step);
+            if !is_settled && step > GROWTH_STEP {
+                continue;
+            }
+            self.refresh(STALE);
+            // A strain that still falls by itself needs no more weight.
+            let strain = self.largest_strain();
+            let stays = strain > 0.9 && (is_settled || strain > FALLING * last_strain && last_strain > 0.0);
+            last_strain = strain;
+            if stays && growths < GROWTHS && self.rounds + 3 < end {
+                self.grow();
+                growths += 1;
+            } else if is_settled {
+                break;
             }
         }
+        self.refresh(STALE);
         Ok(())
+    }
+
+    /// More weight for vertices that strain the limits, so that they end within them.
+    fn grow(&mut self) {
+        let largest = [self.options.closeness, self.options.border].map(|w| (LARGEST_WEIGHT / w).max(1.0));
+        let growth = |strain: f64| (strain / 0.7).powi(2).clamp(1.0, 30.0);
+        let gaps = self.border_trace.strains(&self.vertices);
+        for (v, gap) in gaps.into_iter().enumerate() {
+            let bound = largest[usize::from(self.on_border[v])];
+            self.emphasis[v] = (self.emphasis[v] * growth(self.strain(v))).min(bound);
+            self.hold[v] = (self.hold[v] * growth(gap)).min(LARGEST_HOLD);
+        }
     }
 
     /// Planar and close contradict each other: the stiffest penalty that keeps within the deviation.
@@ -950,7 +1022,7 @@ impl<'a> State<'a> {
             } else {
                 along * (options.closeness * self.emphasis[v])
             };
-            let anchor = self.anchors[v];
+            let anchor = self.anchors[v] * self.hold[v];
             self.matrix.add(v as u32, v as u32, &(block + Matrix3::identity() * anchor));
             if with_gradient {
                 let offset = (self.vertices[v] - foot.point) / self.edge;

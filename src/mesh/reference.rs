@@ -67,7 +67,12 @@ struct Triangle {
 
 struct Segment {
     ends: [Point3<f64>; 2],
+    /// Whether each end is a corner of the border.
+    corners: [bool; 2],
 }
+
+/// Turn of the border at a corner, radians: more than where a curve is given by a few edges.
+const CORNER: f64 = 0.25 * std::f64::consts::PI;
 
 impl MeshReference {
     /// The surface given by its tessellation, with the surface's own normals.
@@ -107,10 +112,22 @@ impl MeshReference {
             .flat_map(|t| [0, 1, 2].map(|k| [t[k].min(t[(k + 1) % 3]), t[k].max(t[(k + 1) % 3])]))
             .collect();
         sides.sort_unstable();
+        let sides: Vec<[u32; 2]> =
+            sides.chunk_by(|a, b| a == b).filter(|group| group.len() == 1).map(|group| group[0]).collect();
+        let mut neighbours: Vec<[u32; 2]> = sides.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
+        neighbours.sort_unstable();
+        let at = |v: u32| vertices[v as usize];
+        let corners: Vec<u32> = neighbours
+            .chunk_by(|a, b| a[0] == b[0])
+            .filter(|group| match group {
+                [[v, p], [_, q]] => (at(*v) - at(*p)).angle(&(at(*q) - at(*v))) > CORNER,
+                _ => true,
+            })
+            .map(|group| group[0][0])
+            .collect();
         let border = sides
-            .chunk_by(|a, b| a == b)
-            .filter(|group| group.len() == 1)
-            .map(|group| Segment { ends: group[0].map(|v| vertices[v as usize]) })
+            .into_iter()
+            .map(|ends| Segment { ends: ends.map(at), corners: ends.map(|v| corners.binary_search(&v).is_ok()) })
             .collect();
         Self { triangles: RTree::bulk_load(triangles), border: RTree::bulk_load(border) }
     }
@@ -131,7 +148,9 @@ impl Reference for MeshReference {
     fn closest_on_border(&self, point: &Point3<f64>, _hint: Option<[f64; 2]>) -> Option<Foot> {
         let segment = self.border.nearest_neighbor([point.x, point.y, point.z])?;
         let foot = closest_on_segment(&segment.ends, point);
-        let direction = (segment.ends[1] - segment.ends[0]).try_normalize(0.0).unwrap_or_default();
+        let is_corner = (0..2).any(|k| segment.corners[k] && segment.ends[k] == foot);
+        let along = if is_corner { Vector3::zeros() } else { segment.ends[1] - segment.ends[0] };
+        let direction = along.try_normalize(0.0).unwrap_or_default();
         Some(Foot { point: foot, direction, parameters: [0.0; 2] })
     }
 }
@@ -177,11 +196,11 @@ impl PointDistance for Segment {
     }
 }
 
-fn closest_on_segment(ends: &[Point3<f64>; 2], point: &Point3<f64>) -> Point3<f64> {
+pub(crate) fn closest_on_segment(ends: &[Point3<f64>; 2], point: &Point3<f64>) -> Point3<f64> {
     let along = ends[1] - ends[0];
     let length = along.norm_squared();
     let t = if length > 0.0 { ((point - ends[0]).dot(&along) / length).clamp(0.0, 1.0) } else { 0.0 };
-    ends[0] + along * t
+    if t == 1.0 { ends[1] } else { ends[0] + along * t }
 }
 
 /// Barycentric coordinates of the point of a triangle closest to `point` (Ericson, Real-Time Collision Detection, 5.1.5).
@@ -279,5 +298,9 @@ mod tests {
         let border = reference.closest_on_border(&point, None).unwrap();
         assert!((border.point - Point3::new(3.3, 0.0, 0.0)).norm() < 1e-12);
         assert!((border.direction.x.abs() - 1.0).abs() < 1e-12);
+        for (query, end) in [([-1.0, -2.0, 0.3], [0.0, 0.0, 0.0]), ([9.0, 8.5, 0.0], [8.0, 8.0, 0.0])] {
+            let corner = reference.closest_on_border(&Point3::from(query), None).unwrap();
+            assert!(corner.point == Point3::from(end) && corner.direction == Vector3::zeros());
+        }
     }
 }

@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::field::MapOptions;
 use crate::mesh::{
     BorderMode, ExtractOptions, ExtractedMesh, OffsetKind, PanelMesh, PanelTarget, PlanarizeInput, PlanarizeOptions,
-    Planarized, VertexKind, border_vertices, edge_lengths, feature_angle, panels, planarize, write_obj,
+    Planarized, VertexKind, border_vertices, edge_lengths, feature_angle, panels, planarize, width, write_obj,
 };
 use crate::surface::{NurbsSurface, SurfaceProjector};
 use nalgebra::Point3;
@@ -90,6 +90,10 @@ pub struct MeshPatch {
     pub planarity: Vec<f64>,
     /// Distance of each vertex from the surface, of border vertices from its border; canvas unit.
     pub deviation: Vec<f64>,
+    /// Largest deviation over what was allowed; above 1 planarity and closeness contradict each other.
+    pub deviation_over_limit: f64,
+    /// Largest deviation of a vertex that was held to the surface's border over the patch's [`width`]; 0 where none was.
+    pub border_deviation_widths: f64,
     /// For each vertex whether it lies on the mesh's border.
     pub on_border: Vec<bool>,
     /// Inner vertices where another number than four edges meets.
@@ -110,17 +114,22 @@ pub struct MeshPatch {
 }
 
 impl MeshPatch {
-    /// A planarized mesh with what can be measured on it alone, in its own frame; `outline`: its border vertices, ascending.
+    /// A planarized mesh with what can be measured on it alone, in its own frame; `outline`: its border vertices, ascending; `held`: those that were
+    /// held to the surface's border.
     pub(super) fn new(
         planarized: Planarized,
         surface: Option<&NurbsSurface>,
         outline: &[u32],
+        held: &[u32],
         irregular: Vec<u32>,
     ) -> Self {
         let mut on_border = vec![false; planarized.mesh.vertices.len()];
         outline.iter().for_each(|&v| on_border[v as usize] = true);
         Self {
             border_length: surface.map_or([0.0; 2], |surface| border_length(surface, &planarized.mesh, outline)),
+            deviation_over_limit: planarized.deviation_max() / planarized.deviation_limit,
+            border_deviation_widths: held.iter().map(|&v| planarized.deviation[v as usize]).fold(0.0, f64::max)
+                / width(&planarized.mesh.vertices),
             mesh: planarized.mesh,
             planarity: planarized.planarity,
             deviation: planarized.deviation,
@@ -175,6 +184,10 @@ pub struct MeshMeasures {
     pub deviation_max: f64,
     /// The same over the patch's mean edge length.
     pub deviation_max_edges: f64,
+    /// Largest deviation over what was allowed; above 1 planarity and closeness contradict each other.
+    pub deviation_over_limit: f64,
+    /// Largest distance of a border vertex from the surface's border, over the patch's [`width`].
+    pub border_deviation_widths: f64,
     /// Mean length of the edges, canvas unit.
     pub edge_length_mean: f64,
     /// Share of the surface's border, by length, that lies within a tenth of the mean edge length of the mesh's border;
@@ -196,6 +209,8 @@ impl MeshResult {
             p_mean: Some(all.planarity_mean),
             deviation_max: Some(all.deviation_max),
             deviation_max_edges: Some(all.deviation_max_edges),
+            deviation_over_limit: Some(all.deviation_over_limit),
+            border_deviation_widths: Some(all.border_deviation_widths),
             border_covered: all.border_covered,
             irregular_vertices: Some(all.irregular_vertices),
             edge_length_mean: Some(all.edge_length_mean),
@@ -227,6 +242,8 @@ impl MeshResult {
             all.planarity_mean += patch.planarity.iter().sum::<f64>();
             all.deviation_max = all.deviation_max.max(deviation);
             all.deviation_max_edges = all.deviation_max_edges.max(deviation * lengths.len() as f64 / sum);
+            all.deviation_over_limit = all.deviation_over_limit.max(patch.deviation_over_limit);
+            all.border_deviation_widths = all.border_deviation_widths.max(patch.border_deviation_widths);
             all.edge_length_mean += sum;
             edges += lengths.len();
             for k in 0..2 {
@@ -313,13 +330,19 @@ fn patch_mesh(
     })?;
     control.step("planarize", 0.0)?;
     let outline = border_vertices(&extracted.mesh);
-    let planarized = timed(&mut times.planarize, || flatten(patch, &extracted, &outline, options, control))?;
+    // Without the cut cells the mesh ends inside the surface's border and is free there.
+    let on_surface_border = |v: &u32| !matches!(extracted.origins[*v as usize].kind, VertexKind::Interior);
+    let mut held: Vec<u32> = outline.iter().copied().filter(on_surface_border).collect();
+    if options.hold == BorderHold::Free {
+        held.clear();
+    }
+    let planarized = timed(&mut times.planarize, || flatten(patch, &extracted, &outline, &held, options, control))?;
     if options.strict && !planarized.is_planar {
         let (reached, rounds) = (planarized.planarity_max(), planarized.rounds);
         return Err(Error::NotPlanar { reached, target: options.planarity, rounds });
     }
     let inside = planarized.split.iter().filter(|&&f| !at_border(extracted.mesh.face(f as usize), &outline)).count();
-    let mut result = MeshPatch::new(planarized, Some(&patch.surface), &outline, extracted.irregular);
+    let mut result = MeshPatch::new(planarized, Some(&patch.surface), &outline, &held, extracted.irregular);
     result.split -= inside;
     result.split_inside = inside;
     result.feature_angle = feature_angle(&patch.feature_lines, &result.mesh);
@@ -346,12 +369,10 @@ fn flatten(
     patch: &FieldPatch,
     extracted: &ExtractedMesh,
     outline: &[u32],
+    held: &[u32],
     options: &MeshOptions,
     control: &Control,
 ) -> Result<Planarized, Error> {
-    // Without the cut cells the mesh ends inside the surface's border and is free there.
-    let on_surface_border = |v: &u32| !matches!(extracted.origins[*v as usize].kind, VertexKind::Interior);
-    let held: Vec<u32> = outline.iter().copied().filter(on_surface_border).collect();
     let strips = extracted.strips();
     let parameters: Vec<[f64; 2]> = extracted.origins.iter().map(|origin| origin.parameter).collect();
     // Triangles at the border are panels like any other there.
@@ -361,7 +382,7 @@ fn flatten(
     let input = PlanarizeInput {
         mesh: &extracted.mesh,
         reference: Some(&projector),
-        border: if options.hold == BorderHold::Free { &[] } else { &held },
+        border: held,
         pins: if options.hold == BorderHold::Pinned { outline } else { &[] },
         polylines: &strips,
         parameters: Some(&parameters),

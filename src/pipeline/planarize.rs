@@ -86,7 +86,7 @@ fn run(
         return Err(Error::NotPlanar { reached, target: options.planarize.target, rounds });
     }
     let irregular = irregular_vertices(mesh);
-    let patch = MeshPatch::new(planarized, surface, &outline, irregular);
+    let patch = MeshPatch::new(planarized, surface, &outline, held, irregular);
     control.step("planarize", 1.0)?;
     Ok(MeshResult::new(vec![patch], report))
 }

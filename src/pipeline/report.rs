@@ -65,6 +65,12 @@ pub struct Report {
     /// The same over the mean edge length.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deviation_max_edges: Option<f64>,
+    /// Largest distance of a vertex from the surface over what was allowed; above 1 planarity and closeness contradict each other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deviation_over_limit: Option<f64>,
+    /// Largest distance of a border vertex from the surface's border over the patch's width.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub border_deviation_widths: Option<f64>,
     /// Share of the surface's border that the mesh's border follows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border_covered: Option<f64>,

@@ -74,13 +74,15 @@ OFFSET(S2pqMeshOptions, hold, 36);
 LAYOUT(S2pqPolygons, 64);
 OFFSET(S2pqPolygons, vertex_count, 8);
 OFFSET(S2pqPolygons, pins, 56);
-LAYOUT(S2pqPlanarizeOptions, 48);
+LAYOUT(S2pqPlanarizeOptions, 56);
 OFFSET(S2pqPlanarizeOptions, strict, 12);
 OFFSET(S2pqPlanarizeOptions, fairness, 40);
-LAYOUT(S2pqMeshReport, 72);
+OFFSET(S2pqPlanarizeOptions, anchor, 48);
+LAYOUT(S2pqMeshReport, 88);
 OFFSET(S2pqMeshReport, faces, 4);
 OFFSET(S2pqMeshReport, planarity_max, 16);
 OFFSET(S2pqMeshReport, time_ms, 64);
+OFFSET(S2pqMeshReport, border_deviation_widths, 80);
 
 static char *read_file(const char *path, size_t *length) {
   FILE *file = fopen(path, "rb");
@@ -497,6 +499,13 @@ static void own_panels(S2pqSession *session) {
   pin = 1;
   options.hold = 3;
   CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  options.hold = S2PQ_HOLD_FREE;
+  options.anchor = 0;
+  CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
+  options.anchor = 100;
+  CHECK(s2pq_planarize(session, &polygons, NULL, &options, &mesh) == S2PQ_STATUS_OK);
+  s2pq_mesh_free(mesh);
+  mesh = NULL;
   starts[1] = 8;
   CHECK(s2pq_planarize(session, &polygons, NULL, NULL, &mesh) == S2PQ_STATUS_INVALID_ARGUMENT);
   starts[1] = 5;

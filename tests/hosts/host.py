@@ -214,8 +214,46 @@ def own_panels(session):
     assert (session.planarize(points, faces).vertices[mesh.on_border == 1] != points[mesh.on_border == 1]).any()
     pinned = session.planarize(points, faces, hold="pinned")
     assert (pinned.vertices[mesh.on_border == 1] == points[mesh.on_border == 1]).all()
-    circular = session.planarize(points, faces, offsets="circular")
-    assert circular.planarity.max() < 1e-9 and (circular.vertices != mesh.vertices).any()
+    free = session.planarize(points, faces, hold="free")
+
+    def angles(mesh):
+        """Of each face's corners."""
+        at = mesh.vertices[np.array(faces)]
+        before, after = np.roll(at, 1, axis=1) - at, np.roll(at, -1, axis=1) - at
+        cosines = (before * after).sum(2) / np.linalg.norm(before, axis=2) / np.linalg.norm(after, axis=2)
+        return np.arccos(cosines)
+
+    def circularity(mesh):
+        """Opposite angles of a quad with a circumcircle add up to half a turn."""
+        return np.abs(angles(mesh) @ [1, -1, 1, -1]).mean()
+
+    def conicality(mesh):
+        """Opposite angles at an inner vertex of a mesh with offset planes have the same sum."""
+        corner = np.zeros((81, 2))
+        for face in zip(faces, angles(mesh)):
+            for k, (v, angle) in enumerate(zip(*face)):
+                # Faces at a vertex that lie opposite each other meet it at corners 0 and 2, or at 1 and 3.
+                corner[v, k % 2] += angle
+        inner = [9 * i + j for i in range(1, 8) for j in range(1, 8)]
+        return np.abs(corner[inner] @ [1, -1]).mean()
+
+    for offsets, measure in [("circular", circularity), ("conical", conicality)]:
+        offset = session.planarize(points, faces, offsets=offsets, hold="free")
+        assert offset.planarity.max() < 1e-9 and measure(offset) < 0.5 * measure(free), (measure(offset), measure(free))
+
+    def bends(mesh):
+        """Changes of the second differences along the rows."""
+        moved = (mesh.vertices - points).reshape(9, 9, 3)
+        return sum(np.sum(np.diff(moved, n=2, axis=axis) ** 2) for axis in range(2))
+
+    assert bends(session.planarize(points, faces, hold="free", fairness=50)) < 0.8 * bends(free)
+    near = session.planarize(points, faces, hold="free", fairness=0, anchor=1)
+    drift = [np.linalg.norm(m.vertices - points, axis=1).mean() for m in (near, free)]
+    assert near.planarity.max() < 1e-9 and drift[0] < 0.9 * drift[1], drift
+    # Corners stay corners, and the rest of the border stays on it.
+    corners = [0, 8, 72, 80]
+    assert np.linalg.norm(mesh.vertices[corners] - points[corners], axis=1).max() < 0.05
+    assert mesh.measures["border_deviation_widths"] < 1e-2 and mesh.measures["deviation_over_limit"] <= 1
     triangle = [[0, 1, 10]]
     raises(s.ArgumentError, session.planarize, points, faces, pins=[81])
     raises(s.ArgumentError, session.planarize, points, triangle, hold="tight")

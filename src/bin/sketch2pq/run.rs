@@ -138,9 +138,14 @@ impl Run {
             ),
         );
         line("planarity", format!("{:.1e} worst, {:.1e} mean", measures.planarity_max, measures.planarity_mean));
+        let over = measures.deviation_over_limit;
+        let contradiction = if over > 1.0 { format!(", {over:.2} times what was allowed") } else { String::new() };
         line(
             "deviation",
-            format!("{:.3} at most, {:.3} edge lengths", measures.deviation_max, measures.deviation_max_edges),
+            format!(
+                "{:.3} at most, {:.3} edge lengths{contradiction}",
+                measures.deviation_max, measures.deviation_max_edges
+            ),
         );
         let times = &report.time_ms;
         line(
