@@ -4,7 +4,7 @@ use super::conjugate_field::Singularity;
 use super::topology::{EdgeTopology, TriangleFrames, wrap};
 use crate::surface::SurfaceMesh;
 use nalgebra::Vector3;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// The cross u, v, -u, -v of a triangle, by the bisector of u and v and half the angle between them.
 ///
@@ -57,20 +57,23 @@ impl Cross {
 /// unfolding, in (-pi/4, pi/4] or close to it, and d the change of the half crossing angle. Among the four order-preserving choices it minimizes
 /// r^2 + d^2, which is half the sum of the squared rotations of u and of v.
 pub fn matching(f: &Cross, g: &Cross, turn: f64) -> (u8, f64, f64) {
-    let mut best = (0, 0.0, 0.0);
-    let mut least = f64::INFINITY;
-    for k in 0..4 {
-        let renamed = g.renamed(k);
-        let rotation = wrap(renamed.bisector - f.bisector - turn, TAU);
-        let change = renamed.half_crossing - f.half_crossing;
-        let cost = rotation * rotation + change * change;
-        // The margin makes ties fall to the smaller k whatever the rounding.
-        if cost < least - 1e-12 {
-            least = cost;
-            best = (k as u8, rotation, change);
-        }
+    let plain = wrap(g.bisector - f.bisector - turn, TAU);
+    // Of k and k + 2, which differ by half a turn, the one that turns less; the margins make ties fall to the smaller k whatever the rounding.
+    let nearer = |k: u8, rotation: f64| {
+        let opposite = rotation - PI.copysign(rotation);
+        if rotation.abs() > opposite.abs() + 1e-12 { (k + 2, opposite) } else { (k, rotation) }
+    };
+    let (even, even_rotation) = nearer(0, plain);
+    let quarter = plain + FRAC_PI_2;
+    let (odd, odd_rotation) = nearer(1, if quarter > PI { quarter - TAU } else { quarter });
+    let [even_change, odd_change] = [g.half_crossing, FRAC_PI_2 - g.half_crossing].map(|c| c - f.half_crossing);
+    let cost = |rotation: f64, change: f64| rotation * rotation + change * change;
+    let gain = cost(even_rotation, even_change) - cost(odd_rotation, odd_change);
+    if gain > 1e-12 || (gain > -1e-12 && odd < even) {
+        (odd, odd_rotation, odd_change)
+    } else {
+        (even, even_rotation, even_change)
     }
-    best
 }
 
 /// Matching of every edge (0 on the border) and the singular vertices, by the smallest rotations; as [`match_edges`].

@@ -260,7 +260,9 @@ impl TriangleFrames {
 
 /// `angle` moved by a multiple of `period` into (-period / 2, period / 2].
 pub(crate) fn wrap(angle: f64, period: f64) -> f64 {
-    let turned = angle - period * (angle / period).round();
+    // Adding and taking away this rounds to an integer without a call, halves either way: both ends of the interval are one.
+    const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
+    let turned = angle - period * ((angle / period + ROUND) - ROUND);
     if turned <= -0.5 * period { turned + period } else { turned }
 }
 
