@@ -122,10 +122,16 @@ impl CanvasField {
 ///
 /// The layer of a triangle is its place along the line of sight through its middle: the nearest sheet is visible, the next one occluded.
 /// Triangles further behind, too steep, or where the map has no cross get two zero vectors: no guess.
-pub fn guess_from_canvas(mesh: &SurfaceMesh, view: &CanvasView, field: &CanvasField) -> Vec<[Vector3<f64>; 2]> {
-    let caster = RayCaster::new(mesh, view.axes);
+///
+/// - `caster`: of `mesh` along the axes of `view`.
+pub fn guess_from_canvas(
+    mesh: &SurfaceMesh,
+    caster: &RayCaster,
+    view: &CanvasView,
+    field: &CanvasField,
+) -> Vec<[Vector3<f64>; 2]> {
     (0..mesh.triangles.len())
-        .map(|t| lifted_cross(mesh, view, field, &caster, t).unwrap_or([Vector3::zeros(); 2]))
+        .map(|t| lifted_cross(mesh, view, field, caster, t).unwrap_or([Vector3::zeros(); 2]))
         .collect()
 }
 
@@ -154,6 +160,7 @@ fn lifted_cross(
 
 /// Constraints along feature lines drawn over a mesh.
 ///
+/// - `caster`: of `mesh` along the axes of `view`.
 /// - `lines`: polylines in view coordinates (p . right, p . up), in the unit of the mesh.
 /// - `weight`: as in [`DirectionConstraint`], for a triangle that a line crosses over its full width; infinite for hard constraints.
 ///
@@ -165,11 +172,11 @@ fn lifted_cross(
 /// [`Error::NotFinite`] names the first line with a bad coordinate.
 pub fn constraints_from_lines(
     mesh: &SurfaceMesh,
+    caster: &RayCaster,
     view: &CanvasView,
     lines: &[Vec<[f64; 2]>],
     weight: f64,
 ) -> Result<Vec<DirectionConstraint>, Error> {
-    let caster = RayCaster::new(mesh, view.axes);
     let size = mean_size(mesh);
     let mut constraints = vec![];
     for (index, line) in lines.iter().enumerate() {
@@ -358,7 +365,7 @@ mod tests {
             }
         }
         let canvas = CanvasField::new(half, &channels, [&coverage[0], &coverage[1]]).unwrap();
-        let guess = guess_from_canvas(&field.mesh, &view, &canvas);
+        let guess = guess_from_canvas(&field.mesh, &RayCaster::new(&field.mesh, view.axes), &view, &canvas);
         let guessed = guess.iter().filter(|g| g[0].norm() > 0.0).count();
         assert!(guessed > guess.len() * 8 / 10, "{guessed} of {}", guess.len());
         let mut worst: Vec<f64> = vec![];
@@ -395,7 +402,8 @@ mod tests {
                 [p.dot(&view.axes[0]), p.dot(&view.axes[1])]
             })
             .collect();
-        let constraints = constraints_from_lines(&mesh, &view, &[line], 20.0).unwrap();
+        let constraints =
+            constraints_from_lines(&mesh, &RayCaster::new(&mesh, view.axes), &view, &[line], 20.0).unwrap();
         assert!(constraints.len() > 10);
         for c in &constraints {
             let along: Vector3<f64> =
@@ -403,8 +411,21 @@ mod tests {
             assert!(c.direction.normalize().dot(&along.normalize()).abs() > 0.98);
             assert!(c.weight > 0.0 && c.weight <= 20.0);
         }
-        assert!(constraints_from_lines(&mesh, &view, &[vec![[f64::NAN, 0.0]]], 1.0).is_err());
-        assert!(constraints_from_lines(&mesh, &view, &[vec![[1e6, 0.0], [1e6, 1.0]]], 1.0).unwrap().is_empty());
+        assert!(
+            constraints_from_lines(&mesh, &RayCaster::new(&mesh, view.axes), &view, &[vec![[f64::NAN, 0.0]]], 1.0)
+                .is_err()
+        );
+        assert!(
+            constraints_from_lines(
+                &mesh,
+                &RayCaster::new(&mesh, view.axes),
+                &view,
+                &[vec![[1e6, 0.0], [1e6, 1.0]]],
+                1.0
+            )
+            .unwrap()
+            .is_empty()
+        );
     }
 
     #[test]

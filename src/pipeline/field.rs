@@ -372,7 +372,7 @@ fn patch_field(
         let normals = timed(&mut times.field, || seen.prediction(&raster, maps.slope));
         let predicted = timed(&mut times.infer, || networks.predict_directions(&maps, &normals, control))?;
         let crosses = canvas_field(&predicted, &raster)?;
-        guess = Some(timed(&mut times.field, || guess_from_canvas(&mesh, &view, &crosses)));
+        guess = Some(timed(&mut times.field, || guess_from_canvas(&mesh, seen.caster(), &view, &crosses)));
     }
     let lines: Vec<Vec<[f64; 2]>> = match (sketch, outline, frame) {
         (_, Some(outline), _) => {
@@ -385,10 +385,15 @@ fn patch_field(
         }
         _ => vec![],
     };
-    let feature_lines = timed(&mut times.field, || seen.map_or(vec![], |seen| seen.lifted_lines(&lines)));
-    let constraints = timed(&mut times.field, || constraints_from_lines(&mesh, &view, &lines, LINE_WEIGHT))?;
-    let field =
-        timed(&mut times.field, || solve(mesh.clone(), guess.as_deref(), &constraints, fixed, options, control))?;
+    let (feature_lines, constraints) = timed(&mut times.field, || match &seen {
+        Some(seen) => {
+            let constraints = constraints_from_lines(&mesh, seen.caster(), &view, &lines, LINE_WEIGHT)?;
+            Ok((seen.lifted_lines(&lines), constraints))
+        }
+        None => Ok((vec![], vec![])),
+    })?;
+    drop(seen);
+    let field = timed(&mut times.field, || solve(mesh, guess.as_deref(), &constraints, fixed, options, control))?;
     Ok(FieldPatch { field, surface, placement, feature_lines })
 }
 

@@ -26,6 +26,11 @@ impl<'a> Seen<'a> {
         Self { caster: RayCaster::new(mesh, [Vector3::x(), Vector3::y(), Vector3::z()]), mesh }
     }
 
+    /// The lines of sight.
+    pub fn caster(&self) -> &RayCaster<'a> {
+        &self.caster
+    }
+
     /// The surface as CDF-Net reads it: normals of the first and second sheet where the sketch has those layers.
     pub fn prediction(&self, raster: &Raster, slope: f64) -> DepthPrediction {
         let mut layers = [4, 6].map(|channel| LayerPrediction {
