@@ -10,7 +10,7 @@ use sketch2pq::pipeline::{
     extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
 use sketch2pq::sketch::read_sketch;
-use sketch2pq::surface::{NurbsSurface, SurfaceProjector};
+use sketch2pq::surface::{FundamentalForms, NurbsSurface, SurfaceProjector};
 use std::collections::BTreeMap;
 
 fn session() -> Session {
@@ -35,7 +35,8 @@ fn random_surfaces_have_conjugate_fields_along_their_feature_lines() {
         assert!(all.conjugacy_mean <= 1e-3, "seed {seed}: {}", all.conjugacy_mean);
         assert!(all.conjugacy_max <= 1e-2, "seed {seed}: {}", all.conjugacy_max);
         assert!(all.crossing_min_deg >= 20.0 - 1e-6, "seed {seed}: {}", all.crossing_min_deg);
-        let field = &field.patches[0].field;
+        let patch = &field.patches[0];
+        let field = &patch.field;
         // Lines are soft constraints here: they give way, and the floor has nothing to win.
         assert!(field.diagnostics.floor_triangles.is_empty());
         let frames = TriangleFrames::new(&field.mesh, &field.edges).unwrap();
@@ -44,6 +45,19 @@ fn random_surfaces_have_conjugate_fields_along_their_feature_lines() {
             let square = forms[t].norm().powi(2);
             frames.areas[t] * square / (1.0 + frames.areas[t] * square)
         };
+        // Not only on triangles: on the surface itself, at their middles.
+        for t in (0..forms.len() as u32).filter(|t| field.diagnostics.flat_triangles.binary_search(t).is_err()) {
+            let corners = field.mesh.triangles[t as usize].map(|v| field.mesh.parameters[v as usize]);
+            let [a, b] = [0, 1].map(|k| corners.iter().map(|p| p[k]).sum::<f64>() / 3.0);
+            let point = patch.surface.evaluate(a, b);
+            let Some(exact) = FundamentalForms::new(&point) else { continue };
+            let x = point.du.normalize();
+            let norm = exact.second_in(&point, &x, &exact.normal.cross(&x)).norm();
+            let flat = |d: nalgebra::Vector3<f64>| (d - exact.normal * exact.normal.dot(&d)).normalize();
+            let [u, v] = field.directions[t as usize].map(flat);
+            let residual = exact.second_in(&point, &u, &v)[(0, 1)].abs();
+            assert!(residual <= 1e-9 * norm, "seed {seed}, triangle {t}: {residual} of {norm}");
+        }
         let flat: f64 = field.diagnostics.flat_triangles.iter().map(|&t| bending(t as usize)).sum();
         let total: f64 = (0..forms.len()).map(bending).sum();
         assert!(flat <= FLAT_SHARE * total, "seed {seed}: {flat} of {total}");

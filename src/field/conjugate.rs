@@ -190,7 +190,7 @@ impl SecondForm {
 ///
 /// Vertices without a normal (collapsed sides) are left out; a triangle of only such vertices gets II = 0.
 pub fn second_forms(mesh: &SurfaceMesh, frames: &TriangleFrames) -> Vec<SecondForm> {
-    let tensors = vertex_tensors(mesh);
+    let tensors: Vec<Option<Matrix3<f64>>> = mesh.points.iter().map(tensor).collect();
     (0..mesh.triangles.len())
         .map(|t| {
             let mut sum = Matrix3::zeros();
@@ -207,18 +207,28 @@ pub fn second_forms(mesh: &SurfaceMesh, frames: &TriangleFrames) -> Vec<SecondFo
         .collect()
 }
 
-/// II at each vertex as a tensor in space, zero along the normal.
-fn vertex_tensors(mesh: &SurfaceMesh) -> Vec<Option<Matrix3<f64>>> {
-    let tensor = |point: &SurfacePoint| {
-        let forms = FundamentalForms::new(point)?;
-        let x = point.du.normalize();
-        let y = forms.normal.cross(&x);
-        let m = forms.second_in(point, &x, &y);
-        let form = SecondForm { h: 0.5 * (m[(0, 0)] + m[(1, 1)]), a: 0.5 * (m[(0, 0)] - m[(1, 1)]), b: m[(0, 1)] };
-        let tensor = form.tensor(&x, &y);
-        tensor.iter().all(|c| c.is_finite()).then_some(tensor)
+/// Second form of each triangle: that of the surface at its middle, restricted to the triangle's plane; where the mesh has no middles, or there
+/// is no normal, that of `means`.
+///
+/// Directions in the plane of a triangle are conjugate in this form if and only if their projections to the tangent plane at the
+/// middle are conjugate on the surface, however coarse the mesh is.
+pub fn middle_forms(mesh: &SurfaceMesh, frames: &TriangleFrames, means: &[SecondForm]) -> Vec<SecondForm> {
+    let own = |(t, mean): (usize, &SecondForm)| {
+        let tensor = mesh.middles.get(t).and_then(tensor);
+        tensor.map_or(*mean, |tensor| SecondForm::of_tensor(&tensor, &frames.x[t], &frames.y[t]))
     };
-    mesh.points.iter().map(tensor).collect()
+    means.iter().enumerate().map(own).collect()
+}
+
+/// II at a point as a tensor in space, zero along the normal.
+fn tensor(point: &SurfacePoint) -> Option<Matrix3<f64>> {
+    let forms = FundamentalForms::new(point)?;
+    let x = point.du.normalize();
+    let y = forms.normal.cross(&x);
+    let m = forms.second_in(point, &x, &y);
+    let form = SecondForm { h: 0.5 * (m[(0, 0)] + m[(1, 1)]), a: 0.5 * (m[(0, 0)] - m[(1, 1)]), b: m[(0, 1)] };
+    let tensor = form.tensor(&x, &y);
+    tensor.iter().all(|c| c.is_finite()).then_some(tensor)
 }
 
 #[cfg(test)]

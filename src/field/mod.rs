@@ -23,7 +23,7 @@ mod topology;
 mod trace;
 mod visit;
 
-pub use conjugate::{SecondForm, second_forms};
+pub use conjugate::{SecondForm, middle_forms, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 pub use integrate::{
     Density, Integrator, MAP_UNIT, MapDiagnostics, MapOptions, SeamlessMap, SideFit, Transition, integrate,

@@ -3,7 +3,7 @@
 use super::border::{Corner, corners, followed, inner_angle};
 use super::cancel::{inward, paths};
 use super::coarse::Coarse;
-use super::conjugate::{SecondForm, second_forms};
+use super::conjugate::{SecondForm, middle_forms, second_forms};
 use super::conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
 use super::matching::{Cross, match_edges, matching};
 use super::parallel::{Parallel, parallels};
@@ -106,7 +106,8 @@ impl FieldOptions {
 ///   order. Triangles with a zero or non-finite vector have no guess.
 /// - `constraints`: directions that one family follows. On one triangle the heaviest wins; a second hard one there counts as soft.
 ///
-/// The field is conjugate to rounding on every curved triangle and crosses at no less than the floor everywhere. The exceptions are
+/// The field is conjugate to rounding on every curved triangle, in the second form of the surface at its middle where the mesh knows it
+/// ([`SurfaceMesh::with_middles`]), and crosses at no less than the floor everywhere. The exceptions are
 /// triangles with a hard constraint along a direction whose conjugate is within the floor of it, as on a saddle along an asymptotic
 /// direction: there the floor wins, and `diagnostics.floor_triangles` lists them.
 ///
@@ -183,10 +184,15 @@ fn solve(
     let mut constraints = constraints.to_vec();
     border_constraints(&mesh, &edges, &options.aligned_sides, &mut constraints);
     let forms = second_forms(&mesh, &frames);
-    let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &corners };
+    let weights = edge_weights(&mesh, &edges);
+    let patch =
+        Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &corners, weights: &weights };
     let Layout { crosses, jumps, iterations, .. } = layout(&patch, guess, &constraints, fixed, options, control)?;
     control.step("field", 0.8)?;
     let layout = directions(&frames, &crosses);
+    // Panels see the mean of II over their size, the field itself the surface.
+    let forms = middle_forms(&mesh, &frames, &forms);
+    let patch = Patch { forms: &forms, ..patch };
     let problem = Problem::new(&patch, Conjugacy::Exact, guess, &constraints, options)?;
     let start: Vec<Cross> = (0..crosses.len()).map(|t| problem.allowed(t, &crosses[t])).collect();
     let (crosses, more) = problem.optimize(&mut problem.system()?, start, Some(&jumps), EXACT_ITERATIONS, control)?;
@@ -231,12 +237,21 @@ pub fn smoothness_energy(
     frames: &TriangleFrames,
     directions: &[[Vector3<f64>; 2]],
 ) -> f64 {
+    weighted_energy(edges, frames, directions, &edge_weights(mesh, edges))
+}
+
+/// [`smoothness_energy`] with the edges' weights at hand.
+fn weighted_energy(
+    edges: &EdgeTopology,
+    frames: &TriangleFrames,
+    directions: &[[Vector3<f64>; 2]],
+    weights: &[f64],
+) -> f64 {
     let poly: Vec<PolyVector> = directions
         .iter()
         .enumerate()
         .map(|(t, d)| PolyVector::from_directions(frames.components(t, &d[0]), frames.components(t, &d[1])))
         .collect();
-    let weights = edge_weights(mesh, edges);
     (0..edges.len())
         .filter(|&e| !edges.is_border(e))
         .map(|e| {
@@ -294,6 +309,8 @@ struct Patch<'a> {
     forms: &'a [SecondForm],
     /// Corners of the border that the field follows.
     corners: &'a [Corner],
+    /// See [`edge_weights`].
+    weights: &'a [f64],
 }
 
 /// Crosses whose conjugacy is soft, and the quarter turns across edges that their topology consists of.
@@ -346,7 +363,15 @@ fn layout(
     let frames = TriangleFrames::new(&coarse.mesh, &edges)?;
     let forms = coarse.forms(patch.frames, patch.forms, &frames);
     let corners = coarse.corners(patch.mesh.cells, patch.corners);
-    let below = Patch { mesh: &coarse.mesh, edges: &edges, frames: &frames, forms: &forms, corners: &corners };
+    let weights = edge_weights(&coarse.mesh, &edges);
+    let below = Patch {
+        mesh: &coarse.mesh,
+        edges: &edges,
+        frames: &frames,
+        forms: &forms,
+        corners: &corners,
+        weights: &weights,
+    };
     let fixed_below = fixed.map(|fixed| coarse.singularities(patch.mesh.cells, fixed));
     let Layout { crosses, singularities, iterations, .. } =
         layout(&below, coarse.guess.as_deref(), &coarse.constraints, fixed_below.as_deref(), options, control)?;
@@ -419,7 +444,7 @@ struct Problem<'a> {
     frames: &'a TriangleFrames,
     forms: &'a [SecondForm],
     conjugacy: Vec<f64>,
-    edge_weights: Vec<f64>,
+    edge_weights: &'a [f64],
     flat: Vec<bool>,
     freedom: Vec<Freedom>,
     /// The cross that a hard constraint asks for.
@@ -443,7 +468,7 @@ struct Problem<'a> {
 
 impl<'a> Problem<'a> {
     fn new(
-        &Patch { mesh, edges, frames, forms, corners }: &Patch<'a>,
+        &Patch { mesh, edges, frames, forms, corners, weights }: &Patch<'a>,
         conjugacy: Conjugacy,
         guess: Option<&[[Vector3<f64>; 2]]>,
         constraints: &[DirectionConstraint],
@@ -476,7 +501,7 @@ impl<'a> Problem<'a> {
             frames,
             forms,
             conjugacy: (0..count).map(soft).collect(),
-            edge_weights: edge_weights(mesh, edges),
+            edge_weights: weights,
             freedom: vec![Freedom::Free; count],
             hard: vec![None; count],
             floor_triangles: vec![],
@@ -1125,7 +1150,7 @@ impl<'a> Problem<'a> {
         });
         let mut diagnostics = FieldDiagnostics {
             crossing_min_deg: 90.0,
-            smoothness_energy: smoothness_energy(self.mesh, self.edges, self.frames, &directions),
+            smoothness_energy: weighted_energy(self.edges, self.frames, &directions, self.edge_weights),
             floor_triangles: self.floor_triangles.clone(),
             iterations,
             ..FieldDiagnostics::default()
@@ -1411,7 +1436,9 @@ mod tests {
                 .collect();
             let options = FieldOptions::default();
             let forms = second_forms(&mesh, &frames);
-            let patch = Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &[] };
+            let weights = edge_weights(&mesh, &edges);
+            let patch =
+                Patch { mesh: &mesh, edges: &edges, frames: &frames, forms: &forms, corners: &[], weights: &weights };
             let problem = Problem::new(&patch, Conjugacy::Soft, None, &[], &options).unwrap();
             let indices: Vec<i32> = problem.matched(&crosses).1.iter().map(|s| s.index).collect();
             assert_eq!((indices.len(), indices.iter().sum::<i32>()), (2, 0));

@@ -209,7 +209,7 @@ pub fn surface_to_cdf(
         for (((surface, placement), pieces), fixed) in surfaces.into_iter().zip(pieces).zip(fixed) {
             let cells = cells(&surface, options.resolution);
             let field = timed(&mut times.field, || {
-                let mesh = SurfaceMesh::new(&surface, cells)?;
+                let mesh = SurfaceMesh::with_middles(&surface, cells)?;
                 let mut constraints = vec![];
                 for piece in &pieces {
                     let weight = if piece.hard { f64::INFINITY } else { LINE_WEIGHT };
@@ -361,7 +361,7 @@ fn patch_field(
         _ => patch.placement,
     };
     let surface = patch.surface.mapped(|p| placement.from_world(p));
-    let mesh = timed(&mut times.field, || SurfaceMesh::new(&surface, cells(&surface, options.resolution)))?;
+    let mesh = timed(&mut times.field, || SurfaceMesh::with_middles(&surface, cells(&surface, options.resolution)))?;
     let view = CanvasView::default();
     let seen = timed(&mut times.field, || sketch.map(|_| Seen::new(&mesh)));
 

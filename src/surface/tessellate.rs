@@ -21,6 +21,9 @@ pub struct SurfaceMesh {
     pub normals: Vec<Vector3<f64>>,
     /// Three vertex indices for each triangle.
     pub triangles: Vec<[u32; 3]>,
+    /// Surface points at the means of the triangles' parameters, one for each triangle; empty unless asked for, see
+    /// [`SurfaceMesh::with_middles`].
+    pub middles: Vec<SurfacePoint>,
 }
 
 impl SurfaceMesh {
@@ -54,10 +57,24 @@ impl SurfaceMesh {
             }
         }
         let triangles = triangulated([nu, nv], &points);
-        Ok(Self { cells: [nu, nv], parameters, points, normals, triangles })
+        Ok(Self { cells: [nu, nv], parameters, points, normals, triangles, middles: vec![] })
     }
 
-    /// The mesh of every second grid line, rounded up; its border is sampled at the same ends.
+    /// The same with the surface points at the triangles' middles.
+    ///
+    /// # Errors
+    /// As [`SurfaceMesh::new`].
+    pub fn with_middles(surface: &NurbsSurface, cells: [usize; 2]) -> Result<Self, Error> {
+        let mut mesh = Self::new(surface, cells)?;
+        let middle = |corners: &[u32; 3]| {
+            let [u, v] = [0, 1].map(|k| corners.iter().map(|&c| mesh.parameters[c as usize][k]).sum::<f64>() / 3.0);
+            surface.evaluate(u, v)
+        };
+        mesh.middles = mesh.triangles.iter().map(middle).collect();
+        Ok(mesh)
+    }
+
+    /// The mesh of every second grid line, rounded up, without middles; its border is sampled at the same ends.
     pub fn thinned(&self) -> Self {
         let cells = self.cells.map(|n| n.div_ceil(2));
         let line = |k: usize, i: usize| i * self.cells[k] / cells[k];
@@ -72,6 +89,7 @@ impl SurfaceMesh {
             normals: kept.iter().map(|&v| self.normals[v]).collect(),
             triangles: triangulated(cells, &points),
             points,
+            middles: vec![],
         }
     }
 
