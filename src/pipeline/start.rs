@@ -1,84 +1,36 @@
 //! Where a patch begins: what its surface has to obey, BSR-Net's surface, and the unfolded maps.
 
+use super::session::{Times, timed};
 use crate::control::Control;
 use crate::error::Error;
 use crate::infer::{DepthPrediction, LayerPrediction, NET_SIZE, Networks, SketchMaps};
 use crate::sketch::{CANVAS_HALF_WIDTH, Layer, MAP_SIZE, PatchSketch, StrokeKind};
 use crate::surface::{
-    BorderCurves, BorderLoop, LayerMap, LayerMaps, LayerSample, NurbsSurface, RayCaster, RayHit, SurfaceMesh,
-    SurfaceTargets, coons_net, unfolded_net,
+    BorderCurves, BorderLoop, LayerMap, LayerMaps, LayerSample, NurbsSurface, SurfaceTargets, coons_net, unfolded_net,
 };
 use nalgebra::{Point3, Vector3};
 
-/// Where the refinement may begin: the layer maps unfolded, and BSR-Net's answer; the one with less energy is taken.
+/// Where the refinement may begin: the layer maps unfolded, and BSR-Net's answer.
 ///
 /// With contours the former alone, since the refinement cannot make a fold that its start lacks, and BSR-Net misses some:
-/// on 40 folded held-out sketches the contours ended 4.4 px off from BSR-Net's start, 1.0 px from the unfolded one.
-///
-/// - `predicted`: BSR-Net's answer, where there is no contour.
+/// on 40 folded held-out sketches the contours ended 4.4 px off from BSR-Net's start, 1.0 px from the unfolded one. Without
+/// contours the one with less energy is taken.
+#[expect(clippy::too_many_arguments, reason = "one call site, the state of one patch")]
 pub(super) fn first_surfaces(
-    predicted: Option<NurbsSurface>,
+    networks: &mut Networks,
+    maps: &SketchMaps,
+    depths: &DepthPrediction,
     targets: &SurfaceTargets,
     curves: &BorderCurves,
+    control: &Control,
+    times: &mut Times,
 ) -> Result<Vec<NurbsSurface>, Error> {
-    let unfolded = unfolded_surface(targets, curves, 1.0)?;
-    Ok([unfolded].into_iter().chain(predicted).collect())
-}
-
-/// Cells along each side of a surface that is read as maps.
-const CELLS: usize = 48;
-/// A surface farther than this from a map, canonical units, is another sheet.
-const SAME_SHEET: f64 = 1.5;
-
-/// The maps, moved by `share` of the way to `surface` in depth and normals: two answers err less together than each alone.
-///
-/// Each pixel looks along its line of sight for the sheet with its orientation that is nearest to its depth. Where there is none, the
-/// difference is that of the pixels around it.
-pub(super) fn moved_towards(maps: &LayerMaps, surface: &NurbsSurface, share: f64) -> LayerMaps {
-    // A prediction without normals says nothing.
-    let Ok(mesh) = SurfaceMesh::new(surface, [CELLS; 2]) else { return maps.clone() };
-    let caster = RayCaster::new(&mesh, [Vector3::x(), Vector3::y(), Vector3::z()]);
-    let moved = |map: &LayerMap| {
-        let mut result = map.clone();
-        let valid: Vec<usize> = (0..map.valid.len()).filter(|&k| map.valid[k]).collect();
-        let mut differences: Vec<Option<f64>> = vec![None; map.valid.len()];
-        for &k in &valid {
-            let [x, y] = map.center(k);
-            let hits = caster.hits(x, y).into_iter().filter(|hit| hit.front == map.front[k]);
-            let apart = |hit: &RayHit| (hit.depth - map.depth[k]).abs();
-            let nearest = hits.filter(|hit| apart(hit) < SAME_SHEET).min_by(|a, b| apart(a).total_cmp(&apart(b)));
-            if let Some(hit) = nearest {
-                differences[k] = Some(hit.depth - map.depth[k]);
-                let corners = mesh.triangles[hit.triangle as usize];
-                let normal: Vector3<f64> = (0..3).map(|i| mesh.normals[corners[i] as usize] * hit.barycentric[i]).sum();
-                let between = map.normal[k] * (1.0 - share) + normal * share;
-                result.normal[k] = between.try_normalize(1e-6).unwrap_or(map.normal[k]);
-            }
-        }
-        let mut missing: Vec<usize> = valid.iter().copied().filter(|&k| differences[k].is_none()).collect();
-        while !missing.is_empty() {
-            let around = |k: usize| {
-                let n = map.size;
-                let (row, column) = (k / n, k % n);
-                let near = (row.saturating_sub(1)..=(row + 1).min(n - 1))
-                    .flat_map(move |r| (column.saturating_sub(1)..=(column + 1).min(n - 1)).map(move |c| r * n + c));
-                let known: Vec<f64> =
-                    near.filter(|&q| map.front[q] == map.front[k]).filter_map(|q| differences[q]).collect();
-                (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
-            };
-            let found: Vec<(usize, f64)> = missing.iter().filter_map(|&k| Some((k, around(k)?))).collect();
-            if found.is_empty() {
-                break;
-            }
-            found.iter().for_each(|&(k, difference)| differences[k] = Some(difference));
-            missing.retain(|&k| differences[k].is_none());
-        }
-        for k in valid {
-            result.depth[k] += share * differences[k].unwrap_or(0.0);
-        }
-        result
-    };
-    LayerMaps { visible: moved(&maps.visible), occluded: moved(&maps.occluded) }
+    let unfolded = timed(&mut times.refine, || unfolded_surface(targets, curves, 1.0))?;
+    if !targets.contours.is_empty() {
+        return Ok(vec![unfolded]);
+    }
+    let predicted = timed(&mut times.infer, || network_surface(networks, maps, depths, curves, control))?;
+    Ok(vec![unfolded, predicted])
 }
 
 /// The layer maps, meeting the depth samples, as one sheet; smoothness as [`unfolded_net`] has it.
@@ -99,7 +51,7 @@ pub(super) fn unfolded_surface(
 ///
 /// # Source
 /// Sketch2PQ, Sec. 3.2.3; there the network answers with the whole net.
-pub(super) fn network_surface(
+fn network_surface(
     networks: &mut Networks,
     maps: &SketchMaps,
     depths: &DepthPrediction,
@@ -166,48 +118,4 @@ fn layer_map(depths: &DepthPrediction, layer: Layer) -> Result<LayerMap, Error> 
     });
     let wide = |coverage: &[f32]| coverage.iter().map(|&c| f64::from(c)).collect::<Vec<_>>();
     LayerMap::new(CANVAS_HALF_WIDTH, depth, normal.collect(), &wide(coverage_front), &wide(coverage_back))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Depth 1 + x / 2 on a disk of radius 3.
-    fn disk() -> LayerMap {
-        let mut map = LayerMap::empty(64, 4.4);
-        for k in 0..64 * 64 {
-            let [x, y] = map.center(k);
-            map.valid[k] = x.hypot(y) < 3.0;
-            map.depth[k] = 1.0 + 0.5 * x;
-            map.normal[k] = Vector3::new(0.5, 0.0, 1.0).normalize();
-        }
-        map
-    }
-
-    /// The plane of depth `depth`, x from -4 to 1, seen from the front.
-    fn sheet(depth: f64) -> NurbsSurface {
-        let point = |k: usize| Point3::new((k % 6) as f64 - 4.0, 4.0 - 8.0 * (k / 6) as f64 / 5.0, -depth);
-        NurbsSurface::uniform(3, [6, 6], (0..36).map(point).collect()).unwrap()
-    }
-
-    #[test]
-    fn maps_move_to_a_surface_and_past_its_border() {
-        let maps = LayerMaps { visible: disk(), occluded: LayerMap::empty(64, 4.4) };
-        let moved = moved_towards(&maps, &sheet(0.5), 0.5);
-        for k in (0..64 * 64).filter(|&k| maps.visible.valid[k]) {
-            let [x, _] = maps.visible.center(k);
-            // Beyond x = 1 the difference is that of the rim.
-            let expected = 0.5 * (0.5 - (1.0 + 0.5 * x.min(1.0)));
-            let found = moved.visible.depth[k] - maps.visible.depth[k];
-            assert!((found - expected).abs() < if x < 1.0 { 1e-6 } else { 0.08 }, "{x}: {found} {expected}");
-            let between = (Vector3::new(0.5, 0.0, 1.0).normalize() + Vector3::z()).normalize();
-            assert!(x > 0.99 || (moved.visible.normal[k] - between).norm() < 1e-6);
-        }
-        assert_eq!(moved.occluded, maps.occluded);
-        // Another sheet, far behind, and the same from behind, have no say.
-        assert_eq!(moved_towards(&maps, &sheet(9.0), 0.5), maps);
-        let mut back = maps.clone();
-        back.visible.front.fill(false);
-        assert_eq!(moved_towards(&back, &sheet(0.5), 0.5), back);
-    }
 }
