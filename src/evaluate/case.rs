@@ -16,7 +16,7 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 30] = [
+pub const KEYS: [&str; 32] = [
     "d_c",
     "d_n_deg",
     "d_c_start",
@@ -42,7 +42,9 @@ pub const KEYS: [&str; 30] = [
     "fold_overs",
     "misfacing",
     "deviation_max_edges",
+    "deviation_over_limit",
     "border_covered",
+    "border_deviation_widths",
     "conjugacy_mean",
     "crossing_min_deg",
     "irregular_vertices",
@@ -129,7 +131,9 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
         ("p_mean", report.p_mean),
         ("d_f_deg", report.d_f_deg),
         ("deviation_max_edges", report.deviation_max_edges),
+        ("deviation_over_limit", report.deviation_over_limit),
         ("border_covered", report.border_covered),
+        ("border_deviation_widths", report.border_deviation_widths),
         ("irregular_vertices", report.irregular_vertices.map(|n| n as f64)),
     ];
     case.times = Some(report.time_ms);
