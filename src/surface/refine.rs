@@ -205,10 +205,10 @@ const CORRECTION_RANGE: f64 = 2.0;
 /// [`Error::Nurbs`] if `start` is rational or not cubic, [`Error::Degenerate`] if corners are out of order or the maps are
 /// empty, [`Error::Argument`] for bad options, [`Error::Cancelled`].
 ///
-/// Feature lines have no term, though they follow conjugate directions and ask for II(a, b) = 0 where two of them cross. Of 60 held-out
-/// sketches 14 have such a crossing, 19 in all. There a^T H b, H the second derivatives of depth in the canvas plane, is 0.05 on the true
-/// surfaces and 0.27 in the predicted maps (root mean square), while the prediction misses H by 1.35: the crossings know a part of the
-/// error too small, in places too few, to lower D_c or D_n.
+/// Feature lines have no term of their own; the networks read them. They are conjugate, and to be so is linear in the depth h over the
+/// canvas, a^T H b = 0 with the second derivatives H of h, so that it could be asked for. At every pixel of 60 held-out depth maps it takes
+/// away 12 % of the error (without the free parameters of depth) if a and b are the true directions, and 2 % if they are CDF-Net's. Feature
+/// lines alone know them at 19 crossings on 14 of 60 sketches.
 ///
 /// # Source
 /// Sketch2PQ, Sec. 3.2.3, fits depth maps alone, with second differences of the inner control rows as fairness.
@@ -1476,7 +1476,7 @@ mod tests {
         let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps, 1.0).unwrap();
         let unfolded = NurbsSurface::new(curves.knots, net, None).unwrap();
         // Rms and largest deviation, mean and largest miss of border and contours, pixels.
-        let far = (start_of(&scene, 0.3), [0.04, 0.3], [0.3, 3.0]);
+        let far = (start_of(&scene, 0.3), [0.03, 0.2], [0.3, 3.0]);
         let near = (unfolded, [0.015, 0.25], [0.1, 1.0]);
         for (start, [most_rms, most], [mean_px, max_px]) in [far, near] {
             let refined = run(&start, &targets);
