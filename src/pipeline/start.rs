@@ -15,7 +15,6 @@ use nalgebra::{Point3, Vector3};
 /// With contours the former alone, since the refinement cannot make a fold that its start lacks, and BSR-Net misses some:
 /// on 40 folded held-out sketches the contours ended 4.4 px off from BSR-Net's start, 1.0 px from the unfolded one. Without
 /// contours the one with less energy is taken.
-#[expect(clippy::too_many_arguments, reason = "one call site, the state of one patch")]
 pub(super) fn first_surfaces(
     networks: &mut Networks,
     maps: &SketchMaps,
