@@ -6,10 +6,12 @@
 //! panels lie on the surfaces that the sketches were made from.
 
 use nalgebra::Point3;
+use sheet::{STRIDE, Sheet};
+use sides::sides;
 use sketch2pq::Error;
 use sketch2pq::datagen::Options;
 use sketch2pq::evaluate::Split;
-use sketch2pq::mesh::{BorderMode, PanelMesh};
+use sketch2pq::mesh::BorderMode;
 use sketch2pq::picture::{Frame, MeshPart, Picture, mesh_picture};
 use sketch2pq::pipeline::{
     FieldOptions, MeshOptions, MeshResult, Placement, Session, SessionOptions, SurfaceOptions, SurfaceResult,
@@ -18,20 +20,18 @@ use sketch2pq::pipeline::{
 use sketch2pq::sketch::{Sketch, read_sketch};
 use std::collections::BTreeMap;
 
+#[path = "shared/sheet.rs"]
+mod sheet;
+#[path = "shared/sides.rs"]
+mod sides;
+
 const COLUMNS: usize = 5;
 const TILE: [usize; 2] = [400, 330];
-/// Sketches of one surface follow each other: one of each is enough.
-const STRIDE: u64 = 4;
 /// Points on each side of a surface's border.
 const SAMPLES: usize = 400;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
-    let on_truth = arguments.iter().any(|a| a == "--truth");
-    arguments.retain(|a| a != "--truth");
-    let file = arguments.first().ok_or("a file for the sheet, please")?;
-    let number = |k: usize, or: u64| arguments.get(k).map_or(Ok(or), |a| a.parse::<u64>());
-    let (count, first) = (number(1, 30)?, number(2, 0)?);
+    let Sheet { file, count, first, on_truth } = Sheet::from_arguments()?;
     let mut session = Session::new(&SessionOptions { threads: 1, ..SessionOptions::default() })?;
     let mut cases: Vec<(String, Sketch, Option<SurfaceResult>)> = vec![];
     let mut files: Vec<_> =
@@ -128,18 +128,6 @@ fn print_row(name: &str, surface: &SurfaceResult, mesh: &MeshResult) {
         all.split + all.split_inside,
         mesh.report.time_ms.field + mesh.report.time_ms.mesh + mesh.report.time_ms.planarize,
     );
-}
-
-/// Undirected sides with the number of their faces.
-fn sides(mesh: &PanelMesh) -> BTreeMap<[u32; 2], usize> {
-    let mut sides = BTreeMap::new();
-    for face in mesh.faces() {
-        for k in 0..face.len() {
-            let (a, b) = (face[k], face[(k + 1) % face.len()]);
-            *sides.entry([a.min(b), a.max(b)]).or_default() += 1;
-        }
-    }
-    sides
 }
 
 /// Point `i` of the surface's border.

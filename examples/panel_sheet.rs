@@ -3,6 +3,7 @@
 //! Prints a row of measures for each, in the order of the tiles. With `--truth` the panels lie on the surfaces that the sketches were made from, so
 //! that they are judged apart from the networks; the field follows the feature lines all the same.
 
+use sheet::{STRIDE, Sheet};
 use sketch2pq::datagen::Options;
 use sketch2pq::evaluate::Split;
 use sketch2pq::picture::{Frame, MeshPart, Picture, mesh_picture};
@@ -11,18 +12,14 @@ use sketch2pq::pipeline::{
     sketch_to_surface,
 };
 
+#[path = "shared/sheet.rs"]
+mod sheet;
+
 const COLUMNS: usize = 6;
 const TILE: [usize; 2] = [330, 280];
-/// Sketches of one surface follow each other: one of each is enough.
-const STRIDE: u64 = 4;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
-    let on_truth = arguments.iter().any(|a| a == "--truth");
-    arguments.retain(|a| a != "--truth");
-    let file = arguments.first().ok_or("a file for the sheet, please")?;
-    let number = |k: usize, or: u64| arguments.get(k).map_or(Ok(or), |a| a.parse::<u64>());
-    let (count, first) = (number(1, 30)?, number(2, 0)?);
+    let Sheet { file, count, first, on_truth } = Sheet::from_arguments()?;
     let mut session = Session::new(&SessionOptions { threads: 1, ..SessionOptions::default() })?;
     let rows = (count as usize).div_ceil(COLUMNS);
     let mut sheet = Picture::new(COLUMNS * TILE[0], rows * TILE[1]);

@@ -1,17 +1,20 @@
 //! Fields on surfaces like those that sketches show, and along the whole border.
 
 use nalgebra::Point3;
+use sides::sides;
 use sketch2pq::control::Control;
 use sketch2pq::datagen::{Options, sample};
 use sketch2pq::field::{MapOptions, TriangleFrames, integrate, second_forms};
-use sketch2pq::mesh::{BorderMode, PanelMesh, border_vertices};
+use sketch2pq::mesh::{BorderMode, border_vertices};
 use sketch2pq::pipeline::{
     FeatureCurve, FieldOptions, MeshOptions, Placement, Session, SessionOptions, SurfaceOptions, SurfaceResult,
     extract_pq_mesh, sketch_to_cdf, sketch_to_surface, surface_to_cdf,
 };
 use sketch2pq::sketch::read_sketch;
 use sketch2pq::surface::{FundamentalForms, NurbsSurface, SurfaceProjector};
-use std::collections::BTreeMap;
+
+#[path = "../examples/shared/sides.rs"]
+mod sides;
 
 fn session() -> Session {
     Session::new(&SessionOptions { threads: 1, ..SessionOptions::default() }).unwrap()
@@ -111,18 +114,6 @@ fn cap() -> NurbsSurface {
         Point3::new(x, y, (1.0 - x * x - y * y) / 3.0)
     };
     NurbsSurface::uniform(3, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap()
-}
-
-/// Undirected sides of a mesh with the number of their faces.
-fn sides(mesh: &PanelMesh) -> BTreeMap<[u32; 2], usize> {
-    let mut sides = BTreeMap::new();
-    for face in mesh.faces() {
-        for k in 0..face.len() {
-            let (a, b) = (face[k], face[(k + 1) % face.len()]);
-            *sides.entry([a.min(b), a.max(b)]).or_default() += 1;
-        }
-    }
-    sides
 }
 
 #[test]
