@@ -20,7 +20,7 @@ from onnx import TensorProto, helper, numpy_helper
 import data
 import nets
 import tasks
-from train import initial_weights, part_of
+from train import exported
 
 MODELS = pathlib.Path(__file__).parent.parent / "models"
 
@@ -42,10 +42,7 @@ def store_fp16(model):
 
 def held_out_inputs(name, folder, count=40):
     """What the network sees of held-out sketches; networks that others build on come from models/."""
-    helpers = {}
-    for needed in tasks.TASKS[name].needs:
-        helpers[needed] = nets.make(needed).eval()
-        helpers[needed].load_state_dict(initial_weights(MODELS / f"{needed}.onnx", needed))
+    helpers = {needed: exported(MODELS / f"{needed}.onnx", needed) for needed in tasks.TASKS[name].needs}
     shards = data.Shards(folder)
     chosen = (shards.occluded if tasks.TASKS[name].occluded_only else list(range(len(shards))))[:count]
     generator = torch.Generator().manual_seed(7)
@@ -65,8 +62,7 @@ def extend_history(history, log, seen_before):
 
 def export(name, weights, target, validation):
     inputs, _, _, _, size, _, _ = nets.SHAPES[name]
-    network = nets.make(name).eval()
-    network.load_state_dict(part_of(torch.load(weights, weights_only=True), name))
+    network = exported(weights, name)
     # What runs later has fp16 weights, so compare with those.
     for stored in [*network.parameters(), *network.buffers()]:
         if stored.numel() >= 64:
@@ -76,6 +72,9 @@ def export(name, weights, target, validation):
     torch.onnx.export(network, (example,), buffer, input_names=["x"], output_names=["y"], opset_version=17, dynamo=False)
     model = store_fp16(onnx.load_from_string(buffer.getvalue()))
     onnx.checker.check_model(model)
+    lost = set(network.state_dict()) - {tensor.name.removesuffix("_fp16") for tensor in model.graph.initializer}
+    if lost:
+        raise SystemExit(f"{name}: training could not go on from the file, it lacks {sorted(lost)}")
     # One thread: those of ONNX Runtime spin while they wait, which starves a training run beside it.
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1

@@ -21,6 +21,15 @@ SHAPES = {
     "cdf_net": (16, 8, (64, 128, 160), 2, MAP, 2, False),
 }
 
+# Signs of the channels in a sketch that is mirrored left to right: 9 strokes point in x, normals have an x, and the squares of
+# directions have an imaginary part.
+STROKES, NORMAL = (1,) * 9 + (-1,), (-1, 1, 1)
+MIRRORED = {
+    "vd_net": (STROKES + (1,) * 5, (1, 1) + 2 * NORMAL),
+    "od_net": (STROKES + (1,) * 3 + NORMAL + (1,), (1, 1) + 2 * NORMAL),
+    "cdf_net": (STROKES + 2 * NORMAL, 4 * (1, -1)),
+}
+
 
 class Residual(nn.Module):
     def __init__(self, width):
@@ -56,12 +65,14 @@ class Attention(nn.Module):
 
     def forward(self, x):
         _, width, height, length = x.shape
-        asked = self.ask(F.relu(x) + self.position.to(x.dtype))
+        # A cast that changes nothing would be folded into the exported parameter, which loses its name.
+        alike = lambda parameter: parameter if parameter.dtype == x.dtype else parameter.to(x.dtype)
+        asked = self.ask(F.relu(x) + alike(self.position))
         asked = asked.reshape(-1, 3, self.heads, self.HEAD, height * length)
         query, key, value = asked[:, 0], asked[:, 1], asked[:, 2]
         # In operators of models/README.md, which F.normalize is not.
         unit = lambda vectors: vectors / (vectors.square().mean(2, keepdim=True) * self.HEAD + 1e-12).sqrt()
-        weights = ((unit(query) * self.sharpness.to(x.dtype)).transpose(-1, -2) @ unit(key)).softmax(-1)
+        weights = ((unit(query) * alike(self.sharpness)).transpose(-1, -2) @ unit(key)).softmax(-1)
         seen = (value @ weights.transpose(-1, -2)).reshape(-1, width, height, length)
         return x + self.answer(seen)
 
@@ -93,10 +104,15 @@ class UNet(nn.Module):
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
 
-    def forward(self, x):
+    def placed(self, x):
         # A single sample needs no expansion, which keeps the exported graph plain.
         position = self.position if len(x) == 1 else self.position.expand(len(x), -1, -1, -1)
-        x = torch.cat([x, position.to(x.dtype)], 1)
+        return torch.cat([x, position], 1)
+
+    def forward(self, x):
+        return self.through(self.placed(x))
+
+    def through(self, x):
         extra = self.padded - self.size
         if extra:
             x = F.pad(x, (0, extra, 0, extra), mode="replicate")
@@ -118,6 +134,29 @@ class UNet(nn.Module):
         return x[:, :, : self.size, : self.size] if extra else x
 
 
+class Symmetric(UNet):
+    """The mean of what a U-Net answers to a sketch and to its mirror image, mirrored back.
+
+    Left and right mean nothing in a sketch, so half of the difference of the two answers is error. This is what is exported;
+    a single answer is what is trained.
+    """
+
+    def __init__(self, shape, signs):
+        super().__init__(*shape)
+        column = lambda values: torch.tensor(values, dtype=torch.float32)[None, :, None, None]
+        self.seen, self.told = column(signs[0]), column(signs[1])
+
+    def forward(self, x):
+        both = torch.cat([self.placed(x), self.placed(x.flip(-1) * self.seen.to(x))])
+        answer, mirrored = self.through(both).chunk(2)
+        return (answer + mirrored.flip(-1) * self.told.to(x)) / 2
+
+
 def make(name):
-    """A fresh network by its name."""
+    """A fresh network by its name, to be trained."""
     return UNet(*SHAPES[name])
+
+
+def make_symmetric(name):
+    """The network as it is exported: the same parameters, and symmetric where a mirror image means something to it."""
+    return Symmetric(SHAPES[name], MIRRORED[name]) if name in MIRRORED else make(name)

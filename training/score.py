@@ -52,8 +52,7 @@ def main():
     networks = {}
     for name in nets.SHAPES:
         task = tasks.TASKS[name]
-        networks[name] = nets.make(name).eval()
-        networks[name].load_state_dict(train.initial_weights(arguments.models / f"{name}.onnx", name))
+        networks[name] = train.exported(arguments.models / f"{name}.onnx", name)
         chosen = (held_out.occluded if task.occluded_only else list(range(len(held_out))))[: arguments.count]
         generator = torch.Generator().manual_seed(7)
         prepared = [task.prepare(held_out.batch(chosen[i : i + 50]), generator, networks, training=False) for i in range(0, len(chosen), 50)]

@@ -4,6 +4,7 @@ Needs the release build of `sketch2pq`, which makes the few samples.
 """
 
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -15,11 +16,12 @@ import torch
 HERE = pathlib.Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
+import export
 import nets
 import tasks
 import train
 
-BINARY = HERE.parent / "target" / "release" / "sketch2pq"
+BINARY = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", HERE.parent / "target")) / "release" / "sketch2pq"
 
 
 class Training(unittest.TestCase):
@@ -62,7 +64,7 @@ class Training(unittest.TestCase):
         self.assertLess(max(scores), 0.7 * alone[-1]["validation"]["d_coons"])
 
     def test_32_samples_can_be_learned_by_heart(self):
-        _, entries = self.train("overfit", "--samples", "12800", "--overfit", "32")
+        _, entries = self.train("overfit", "--samples", "6400", "--overfit", "32")
         _, begin = self.train("begin", "--samples", "32", "--overfit", "32")
         self.assertLess(entries[-1]["loss"], 0.2 * begin[-1]["loss"])
 
@@ -75,6 +77,22 @@ class Training(unittest.TestCase):
         later.load_state_dict(train.initial_weights(self.work / "earlier.pt", "vd_net"))
         maps = torch.randn(2, inputs, nets.MAP, nets.MAP)
         self.assertTrue(torch.allclose(later(maps), earlier(maps[:, :-3]), atol=1e-4))
+
+    def test_what_is_exported_is_symmetric_and_can_go_on(self):
+        for name, (seen, told) in nets.MIRRORED.items():
+            network = nets.make_symmetric(name).eval()
+            for parameter in network.parameters():
+                torch.nn.init.normal_(parameter, std=0.05)
+            maps = torch.randn(1, nets.SHAPES[name][0], nets.MAP, nets.MAP)
+            column = lambda signs: torch.tensor(signs)[None, :, None, None]
+            with torch.no_grad():
+                mirrored = network(maps.flip(-1) * column(seen)).flip(-1) * column(told)
+                self.assertTrue(torch.allclose(network(maps), mirrored, atol=1e-3), name)
+            torch.save(network.state_dict(), self.work / "symmetric.pt")
+            export.export(name, self.work / "symmetric.pt", self.work / "exported" / f"{name}.onnx", None)
+            stored = train.initial_weights(self.work / "exported" / f"{name}.onnx", name)
+            for key, values in network.state_dict().items():
+                self.assertTrue(torch.allclose(stored[key], values, rtol=1e-3, atol=1e-4), key)
 
 
 if __name__ == "__main__":

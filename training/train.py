@@ -39,23 +39,25 @@ def average(values):
     return float(numpy.mean(values)) if len(values) else float("nan")
 
 
+def stored_weights(path, name):
+    """The parameters of a network in a weights.pt or, in fp16 precision, an exported .onnx file."""
+    if str(path).endswith(".onnx"):
+        import onnx
+
+        tensors = onnx.load(path).graph.initializer
+        return {t.name.removesuffix("_fp16"): torch.from_numpy(onnx.numpy_helper.to_array(t).astype("float32")) for t in tensors}
+    return part_of(torch.load(path, weights_only=True), name)
+
+
 def initial_weights(path, name):
-    """The parameters in a weights.pt, an exported .onnx file (fp16 precision) or, for `joint`, a folder of those, for the
-    network as it is now.
+    """The `stored_weights` of a file or, for `joint`, of a folder of them, for the network as it is now.
 
     What the file lacks starts afresh; channels that the stem did not read then, before the position's two, count nothing yet.
     """
     if pathlib.Path(path).is_dir():
         parts = {part: initial_weights(pathlib.Path(path) / f"{part}.onnx", part) for part in tasks.TASKS[name].networks}
         return {f"{part}.{key}": value for part, weights in parts.items() for key, value in weights.items()}
-    if str(path).endswith(".onnx"):
-        import onnx
-
-        tensors = onnx.load(path).graph.initializer
-        stored = {t.name.removesuffix("_fp16"): torch.from_numpy(onnx.numpy_helper.to_array(t).astype("float32")) for t in tensors}
-    else:
-        stored = torch.load(path, weights_only=True)
-    stored = part_of(stored, name)
+    stored = stored_weights(path, name)
     wanted = tasks.TASKS[name].network().state_dict()
     weights = {key: stored.get(key, value) for key, value in wanted.items()}
     for stem in (key for key in wanted if key.endswith("stem.weight")):
@@ -63,6 +65,14 @@ def initial_weights(path, name):
         if new:
             weights[stem] = torch.cat([old[:, :-2], torch.zeros_like(old[:, :1]).repeat(1, new, 1, 1), old[:, -2:]], 1)
     return weights
+
+
+def exported(path, name):
+    """The network as inference runs it, with the `stored_weights`, all of them."""
+    network = nets.make_symmetric(name).eval()
+    stored = stored_weights(path, name)
+    network.load_state_dict({key: stored[key] for key in network.state_dict()})
+    return network
 
 
 def part_of(weights, name):
@@ -254,8 +264,7 @@ def main():
     helpers = {}
     for entry in arguments.helper:
         name, path = entry.split("=", 1)
-        helpers[name] = nets.make(name).to(processes.device, memory_format=torch.channels_last).eval()
-        helpers[name].load_state_dict(initial_weights(path, name))
+        helpers[name] = exported(path, name).to(processes.device, memory_format=torch.channels_last)
     missing = [name for name in run.task.needs if name not in helpers]
     if missing:
         parser.error(f"{arguments.name} needs --helper {missing[0]}=weights.pt")
