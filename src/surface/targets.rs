@@ -41,9 +41,7 @@ impl SurfaceTargets {
     /// # Errors
     /// [`Error::Degenerate`] for an outline that spans no patch, and as [`BorderLoop::corners_near`].
     pub fn new(patch: &PatchSketch, corners: Option<[[f64; 2]; 4]>, maps: LayerMaps) -> Result<Self, Error> {
-        let points = patch.border.iter().map(|b| b.position).collect();
-        let occluded = patch.border.iter().map(|b| b.layer == Layer::Occluded).collect();
-        let border = BorderLoop::new(points, occluded)?;
+        let border = BorderLoop::drawn(patch)?;
         let corners = match corners {
             Some(places) => border.corners_near(places.map(|p| patch.frame.from_camera(p)))?,
             None => border.choose_corners()?,
