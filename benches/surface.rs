@@ -5,7 +5,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use sketch2pq::control::Control;
 use sketch2pq::datagen::{Options, sample};
-use sketch2pq::surface::{BorderCurves, NurbsSurface, RefineOptions, refine, unfolded_net};
+use sketch2pq::surface::{BorderCurves, RefineOptions, refine, unfolded_surface};
 
 fn surfaces(criterion: &mut Criterion) {
     for (name, wanted) in [("open", false), ("folded", true)] {
@@ -13,10 +13,7 @@ fn surfaces(criterion: &mut Criterion) {
         let truth = samples.find(|truth| truth.occluded == wanted && !truth.noisy).expect("such a sample");
         let targets = truth.surface_targets().expect("targets");
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).expect("curves");
-        let first = || {
-            let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps, 1.0).expect("a net");
-            NurbsSurface::new(curves.knots.clone(), net, None).expect("a surface")
-        };
+        let first = || unfolded_surface(&targets, &curves, 1.0).expect("a surface");
         let start = first();
         let refined =
             || refine(&start, &targets, &RefineOptions::default(), &Control::default()).expect("a refined surface");

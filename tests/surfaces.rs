@@ -12,7 +12,7 @@ use sketch2pq::pipeline::{
 };
 use sketch2pq::sketch::{Sketch, Stroke, StrokeKind, View, parse_json};
 use sketch2pq::surface::{
-    BorderCurves, KnotVector, NurbsSurface, RefineOptions, SurfaceProjector, refine, unfolded_net,
+    BorderCurves, KnotVector, NurbsSurface, RefineOptions, SurfaceProjector, fit, unfolded_surface,
 };
 
 fn session() -> Session {
@@ -76,9 +76,8 @@ fn sketches_that_folded_over_lie_flat() {
         let truth = split.sample(index, &Options::default()).unwrap();
         let targets = truth.surface_targets().unwrap();
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
-        let net = unfolded_net(&targets.border, &curves, &targets.contours, &targets.maps, 1.0).unwrap();
-        let start = NurbsSurface::new(curves.knots, net, None).unwrap();
-        let refined = refine(&start, &targets, &RefineOptions::default(), &Control::default()).unwrap();
+        let start = unfolded_surface(&targets, &curves, 1.0).unwrap();
+        let refined = fit(&targets, &curves, vec![], &RefineOptions::default(), &Control::default()).unwrap();
         let report = refined.report;
         let [start, end] = [&start, &refined.surface].map(|surface| {
             let [found, actual] = [surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 60));

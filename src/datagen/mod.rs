@@ -612,7 +612,7 @@ mod tests {
 
     #[test]
     fn the_border_of_the_net_is_the_one_that_inference_finds() {
-        use crate::sketch::{CANVAS_HALF_WIDTH, Layer};
+        use crate::sketch::CANVAS_HALF_WIDTH;
         use crate::surface::{BorderCurves, BorderLoop, LayerMap, LayerMaps};
         const PIXELS: usize = MAP * MAP;
         let options = Options { noise_share: 0.0, ..Options::default() };
@@ -632,9 +632,7 @@ mod tests {
                 LayerMap::new(CANVAS_HALF_WIDTH, depth, normal, &coverage(1), &coverage(2)).unwrap()
             };
             let maps = LayerMaps { visible: map(0), occluded: map(1) };
-            let points = sample.patch.border.iter().map(|p| p.position).collect();
-            let occluded = sample.patch.border.iter().map(|p| p.layer == Layer::Occluded).collect();
-            let border = BorderLoop::new(points, occluded).unwrap();
+            let border = BorderLoop::drawn(&sample.patch).unwrap();
             let corners = border.choose_corners().unwrap();
             let curves = BorderCurves::new(&border, corners, &maps, [NET, NET]).unwrap();
             let net = sample.surface.control_points();

@@ -9,7 +9,7 @@ use super::project::border_uv;
 use super::surfaces::{greville, interpolate_samples};
 use super::{NET, Reason, Rejection};
 use crate::numeric::SymbolicCholesky;
-use crate::sketch::{Layer, PatchSketch};
+use crate::sketch::PatchSketch;
 use crate::surface::{BorderLoop, NurbsSurface};
 use nalgebra::{Point3, Vector2};
 use sprs::TriMat;
@@ -38,9 +38,7 @@ pub(super) fn natural_net(
     hidden: impl Fn(f64) -> bool,
 ) -> Result<Vec<Point3<f64>>, Rejection> {
     let fail = Rejection(Reason::Corners);
-    let points = patch.border.iter().map(|p| p.position).collect();
-    let occluded = patch.border.iter().map(|p| p.layer == Layer::Occluded).collect();
-    let border = BorderLoop::new(points, occluded).map_err(|_| fail)?;
+    let border = BorderLoop::drawn(patch).map_err(|_| fail)?;
     let chosen = border.choose_corners().map_err(|_| fail)?;
 
     let count = 4 * BORDER_SAMPLES;

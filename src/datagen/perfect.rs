@@ -2,8 +2,8 @@
 
 use super::{MAP, Sample};
 use crate::error::Error;
-use crate::sketch::{CANVAS_HALF_WIDTH, Layer, StrokeKind, horizontal_slope};
-use crate::surface::{BorderLoop, LayerMap, LayerMaps, SurfaceTargets};
+use crate::sketch::{CANVAS_HALF_WIDTH, horizontal_slope};
+use crate::surface::{LayerMap, LayerMaps, SurfaceTargets};
 use nalgebra::Vector3;
 
 impl Sample {
@@ -12,14 +12,8 @@ impl Sample {
     /// # Errors
     /// [`Error::Degenerate`] for a border that spans no patch.
     pub fn surface_targets(&self) -> Result<SurfaceTargets, Error> {
-        let points = self.patch.border.iter().map(|b| b.position).collect();
-        let occluded = self.patch.border.iter().map(|b| b.layer == Layer::Occluded).collect();
-        let border = BorderLoop::new(points, occluded)?;
-        let corners = border.choose_corners()?;
-        let strokes = self.patch.strokes.iter().filter(|s| s.kind == StrokeKind::Contour);
-        let contours = strokes.map(|s| s.points.clone()).collect();
         let maps = LayerMaps { visible: self.layer_map(0), occluded: self.layer_map(1) };
-        Ok(SurfaceTargets { border, corners, contours, samples: vec![], maps })
+        SurfaceTargets::new(&self.patch, None, maps)
     }
 
     fn layer_map(&self, layer: usize) -> LayerMap {

@@ -90,6 +90,8 @@ pub struct BorderPoint {
     pub position: [f64; 2],
     /// Whether the border is seen there.
     pub layer: Layer,
+    /// The side that the sheet which ends there shows: the sheet lies to the left of the loop where that is its front, else to the right.
+    pub side: Orientation,
 }
 
 /// A depth sample in the canonical frame.
@@ -853,8 +855,10 @@ fn patch(frame: &PixelFrame, arrangement: &Arrangement, meaning: Meaning, featur
     for &h in &border {
         let layer = if kind(h) == StrokeKind::OccludedBoundary { Layer::Occluded } else { Layer::Visible };
         let points = arrangement.half_edge_points(h);
-        loop_points
-            .extend(points[..points.len() - 1].iter().map(|&p| BorderPoint { position: to_canonical(p), layer }));
+        let [left, right] = [h, h ^ 1].map(|h| meaning.layers[arrangement.face_of[h]]);
+        let side = if left > right { Orientation::Front } else { Orientation::Back };
+        let point = |&p: &Point| BorderPoint { position: to_canonical(p), layer, side };
+        loop_points.extend(points[..points.len() - 1].iter().map(point));
     }
     let lowest = (0..loop_points.len()).min_by(|&a, &b| {
         let (p, q) = (loop_points[a].position, loop_points[b].position);

@@ -140,38 +140,17 @@ fn smoothing_rows(knots: &KnotVector, weight: f64, mut push: impl FnMut(usize, &
     }
 }
 
-/// Depth and confidence in [0, 1] at each loop point, from the maps.
+/// Depth and confidence in [0, 1] at each loop point, from the pixels of the sheet that ends there.
 fn border_depths(border: &BorderLoop, maps: &LayerMaps) -> Vec<(f64, f64)> {
     let n = border.points.len();
-    let mut result: Vec<(f64, f64)> = Vec::with_capacity(n);
-    for (i, &p) in border.points.iter().enumerate() {
+    let at = |i: usize| {
         let (a, b) = (border.points[(i + n - 2) % n], border.points[(i + 2) % n]);
         let length = (b[0] - a[0]).hypot(b[1] - a[1]).max(f64::MIN_POSITIVE);
         let tangent = [(b[0] - a[0]) / length, (b[1] - a[1]) / length];
         let map = if border.occluded[i] { &maps.occluded } else { &maps.visible };
-        let front = plane_fit(map, p, tangent, true);
-        let back = plane_fit(map, p, tangent, false);
-        let previous = result.last().filter(|(_, weight)| *weight > 0.0).map(|(depth, _)| *depth);
-        result.push(match (front, back) {
-            // Both sides of the border are covered: something passes behind it, or in front. Follow the loop; at its
-            // start, the border of the visible layer is the nearer one.
-            (Some(f), Some(b)) if f.1.min(b.1) > 0.5 * f.1.max(b.1) => match previous {
-                Some(depth) if (f.0 - depth).abs() < (b.0 - depth).abs() => f,
-                Some(_) => b,
-                None if (f.0 < b.0) != border.occluded[i] => f,
-                None => b,
-            },
-            (Some(f), Some(b)) => {
-                if f.1 > b.1 {
-                    f
-                } else {
-                    b
-                }
-            }
-            (f, b) => f.or(b).unwrap_or((0.0, 0.0)),
-        });
-    }
-    result
+        plane_fit(map, border.points[i], tangent, border.front[i]).unwrap_or((0.0, 0.0))
+    };
+    (0..n).map(at).collect()
 }
 
 /// Depth at `p` of the plane that fits the pixels of one orientation on the patch's side of the border, and the share of
@@ -367,7 +346,7 @@ mod tests {
         }
         points.extend((0..200).map(|k| [x - 2.0 * x * k as f64 / 200.0, 3.0]));
         let occluded = vec![false; points.len()];
-        (BorderLoop::new(points, occluded).unwrap(), maps)
+        (BorderLoop::new(points, occluded, vec![true; 800]).unwrap(), maps)
     }
 
     #[test]

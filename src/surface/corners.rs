@@ -1,6 +1,7 @@
 //! The four corners of a surface's border.
 
 use crate::error::Error;
+use crate::sketch::{Layer, Orientation, PatchSketch};
 
 /// The border of a surface as a closed polyline in the canonical frame: x right, y up, seen along the view.
 ///
@@ -11,6 +12,8 @@ pub struct BorderLoop {
     pub points: Vec<[f64; 2]>,
     /// For each point whether it is drawn as occluded boundary, so that it lies on the occluded layer.
     pub occluded: Vec<bool>,
+    /// For each point whether the sheet that ends there shows its front, so that it lies on the left of the loop, else on the right.
+    pub front: Vec<bool>,
 }
 
 /// Windows for the turning angle, as shares of the loop's length: about 20 pixels for a loop that fills the canvas, so
@@ -30,20 +33,30 @@ impl BorderLoop {
     ///
     /// # Errors
     /// [`Error::Degenerate`] with fewer than 8 points, another number of flags, or no length; [`Error::NotFinite`].
-    pub fn new(points: Vec<[f64; 2]>, occluded: Vec<bool>) -> Result<Self, Error> {
+    pub fn new(points: Vec<[f64; 2]>, occluded: Vec<bool>, front: Vec<bool>) -> Result<Self, Error> {
         if let Some(index) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(Error::NotFinite { what: "border point", index });
         }
-        let result = Self { points, occluded };
-        let count = result.points.len();
-        if count < 8 || result.occluded.len() != count {
-            let flags = result.occluded.len();
-            return Err(Error::Degenerate { reason: format!("a border of {count} points and {flags} layer flags") });
+        let result = Self { points, occluded, front };
+        let (count, flags) = (result.points.len(), [result.occluded.len(), result.front.len()]);
+        if count < 8 || flags != [count; 2] {
+            return Err(Error::Degenerate { reason: format!("a border of {count} points with {flags:?} flags") });
         }
         if result.arc_lengths()[count] <= 0.0 {
             return Err(Error::Degenerate { reason: "the border has no length".into() });
         }
         Ok(result)
+    }
+
+    /// The border of a drawn patch.
+    ///
+    /// # Errors
+    /// As [`BorderLoop::new`].
+    pub fn drawn(patch: &PatchSketch) -> Result<Self, Error> {
+        let points = patch.border.iter().map(|b| b.position).collect();
+        let occluded = patch.border.iter().map(|b| b.layer == Layer::Occluded).collect();
+        let front = patch.border.iter().map(|b| b.side == Orientation::Front).collect();
+        Self::new(points, occluded, front)
     }
 
     /// Arc length (x, y) from point 0 to each point; one more entry, the whole length, at the end.
@@ -187,6 +200,11 @@ impl BorderLoop {
 mod tests {
     use super::*;
 
+    fn visible(points: Vec<[f64; 2]>) -> BorderLoop {
+        let count = points.len();
+        BorderLoop::new(points, vec![false; count], vec![true; count]).unwrap()
+    }
+
     fn polygon(vertices: &[[f64; 2]], per_side: usize) -> BorderLoop {
         let n = vertices.len();
         let points: Vec<[f64; 2]> = (0..n * per_side)
@@ -196,8 +214,7 @@ mod tests {
                 [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
             })
             .collect();
-        let occluded = vec![false; points.len()];
-        BorderLoop::new(points, occluded).unwrap()
+        visible(points)
     }
 
     #[test]
@@ -228,7 +245,7 @@ mod tests {
     fn a_circle_is_cut_into_equal_sides() {
         let points =
             (0..400).map(|k| (k as f64 * std::f64::consts::TAU / 400.0).sin_cos()).map(|(s, c)| [c, s]).collect();
-        let border = BorderLoop::new(points, vec![false; 400]).unwrap();
+        let border = visible(points);
         let corners = border.choose_corners().unwrap();
         for side in 0..4 {
             assert!(border.side(corners, side).len().abs_diff(101) <= 3);
@@ -247,7 +264,7 @@ mod tests {
         let vertices = [[3.0, -2.0], [4.5, 1.0], [3.5, 3.0], [-3.0, 2.0], [-4.0, -3.0]];
         let border = polygon(&vertices, 90);
         let moved: Vec<[f64; 2]> = border.points.iter().map(|p| [7.0 * p[0] + 100.0, 7.0 * p[1] - 40.0]).collect();
-        let moved = BorderLoop::new(moved, border.occluded.clone()).unwrap();
+        let moved = visible(moved);
         assert_eq!(border.choose_corners().unwrap(), moved.choose_corners().unwrap());
     }
 }

@@ -2,42 +2,15 @@
 //!
 //! Everything is in the canonical frame: x right, y up, z towards the viewer, depth = -z.
 
-use super::border::LayerMaps;
-use super::corners::BorderLoop;
 use super::knots::{Basis, KnotVector};
-use super::layer_map::{EXTRAPOLATED_RINGS, LayerMap, MapSample, MapSide};
+use super::layer_map::{EXTRAPOLATED_RINGS, MapSample, MapSide};
 use super::nurbs::NurbsSurface;
 use super::silhouette::{self, Polyline};
+use super::targets::{LayerSample, SurfaceTargets};
 use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram};
 use crate::control::Control;
 use crate::error::Error;
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
-
-/// A known depth on one layer, canonical frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LayerSample {
-    /// Canvas-plane point (x, y).
-    pub position: [f64; 2],
-    /// Whether it belongs to the occluded layer.
-    pub occluded: bool,
-    /// Depth -z.
-    pub depth: f64,
-}
-
-/// What a surface has to obey.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SurfaceTargets {
-    /// Border strokes as one loop, counter-clockwise seen from the front.
-    pub border: BorderLoop,
-    /// Indices of the patch's corners in the loop; sides as in [`super::coons_net`].
-    pub corners: [usize; 4],
-    /// Contour strokes, polylines (x, y).
-    pub contours: Vec<Vec<[f64; 2]>>,
-    /// Depth samples.
-    pub samples: Vec<LayerSample>,
-    /// Depth and normals of both layers.
-    pub maps: LayerMaps,
-}
 
 /// What the host can choose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,8 +156,6 @@ const NEARER: f64 = 0.3;
 const BOTH: f64 = 2.0;
 /// A relative decrease of the energy below this ends the iteration.
 const CONVERGED: f64 = 2e-2;
-/// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
-const CORRECTION_RANGE: f64 = 2.0;
 
 /// Moves the control net of `start` until the surface obeys `targets`.
 ///
@@ -249,54 +220,6 @@ pub fn refine_best(
         refiner.begin(best.1);
     }
     refiner.run(options.iterations, control)
-}
-
-impl LayerMaps {
-    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
-    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
-    ///
-    /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
-    pub fn meeting(&self, samples: &[LayerSample]) -> Self {
-        let correct = |map: &LayerMap, occluded: bool| {
-            if samples.iter().all(|sample| sample.occluded != occluded) {
-                return map.clone();
-            }
-            let sides = [map.side(true), map.side(false)];
-            let known: Vec<([f64; 2], f64)> = samples
-                .iter()
-                .filter(|sample| sample.occluded == occluded)
-                .filter_map(|sample| {
-                    let near = sides.iter().filter_map(|side| {
-                        let value = side.sample(sample.position)?;
-                        Some((side.outside(sample.position)?.1, sample.depth - value.depth))
-                    });
-                    let best = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.abs().total_cmp(&b.1.abs())))?;
-                    Some((sample.position, best.1))
-                })
-                .collect();
-            let mut result = map.clone();
-            if known.is_empty() {
-                return result;
-            }
-            let kernel = |p: [f64; 2], q: [f64; 2]| {
-                let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
-                (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
-            };
-            let n = known.len();
-            let matrix =
-                DMatrix::from_fn(n, n, |i, j| kernel(known[i].0, known[j].0) + if i == j { 1e-4 } else { 0.0 });
-            let right = nalgebra::DVector::from_iterator(n, known.iter().map(|k| k.1));
-            if let Some(factor) = matrix.cholesky() {
-                let weights = factor.solve(&right);
-                for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
-                    let p = map.center(k);
-                    result.depth[k] += (0..n).map(|i| weights[i] * kernel(p, known[i].0)).sum::<f64>();
-                }
-            }
-            result
-        };
-        Self { visible: correct(&self.visible, false), occluded: correct(&self.occluded, true) }
-    }
 }
 
 /// What stays the same through the iterations.

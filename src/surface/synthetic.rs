@@ -75,17 +75,19 @@ pub fn scene(truth: NurbsSurface) -> Scene {
     }
     let per_side = 220;
     let mut points = vec![];
-    let mut occluded = vec![];
+    let (mut occluded, mut front) = (vec![], vec![]);
     for side in 0..4 {
         for k in 0..per_side {
             let w = k as f64 / per_side as f64;
             let [u, v] = [[w, 0.0], [1.0, w], [1.0 - w, 1.0], [0.0, 1.0 - w]][side];
-            let p = truth.point(u, v);
+            let at = truth.evaluate(u, v);
+            let p = at.position;
             points.push([p.x, p.y]);
+            front.push(at.du.cross(&at.dv).z > 0.0);
             occluded.push(caster.hits(p.x, p.y).iter().any(|hit| hit.depth < -p.z - 0.02));
         }
     }
-    let border = BorderLoop::new(points, occluded).unwrap();
+    let border = BorderLoop::new(points, occluded, front).unwrap();
     let key = |i: usize| border.points[i][1] - border.points[i][0];
     assert!((1..4).all(|k| key(0) >= key(k * per_side)), "the fixture starts at the upper left");
     let contours = contour_lines(&truth);
