@@ -1,4 +1,4 @@
-"""Checks of the training program itself: `python -m unittest training/test_training.py` (about five minutes on two cores).
+"""Checks of the training program itself: `python -m unittest discover -s training` (about five minutes on two cores).
 
 Needs the release build of `sketch2pq`, which makes the few samples.
 """
