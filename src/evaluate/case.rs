@@ -8,10 +8,10 @@ use crate::field::PolyVector;
 use crate::infer::{DepthPrediction, DirectionPrediction, Networks, SketchMaps};
 use crate::pipeline::{
     FieldOptions, MeshOptions, Session, SurfaceOptions, SurfaceResult, Times, extract_pq_mesh, sketch_to_cdf,
-    sketch_to_surface, unrefined_surface,
+    sketch_to_surface, unrefined_surfaces,
 };
 use crate::sketch::{CANONICAL_PER_PX, Layer, map_position, understand};
-use crate::surface::{NurbsSurface, RefineOptions};
+use crate::surface::NurbsSurface;
 use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
@@ -104,9 +104,6 @@ pub fn measure(session: &mut Session, networks: &mut Networks, truth: &Sample) -
 
 fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
     network_errors(case, networks, truth)?;
-    let unfitted = RefineOptions { iterations: 0, ..RefineOptions::default() };
-    let start = sketch_to_surface(session, &truth.sketch, &SurfaceOptions { refine: unfitted, ..Default::default() })?;
-    surface_errors(case, &in_canonical(&start, truth), truth, ["d_c_start", "d_n_start_deg"]);
     let surface = sketch_to_surface(session, &truth.sketch, &SurfaceOptions::default())?;
     let recovered = surface_errors(case, &in_canonical(&surface, truth), truth, ["d_c", "d_n_deg"]);
     case.values.insert("d_c_shear", sheared_chamfer(&recovered, &truth.surface));
@@ -141,15 +138,16 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
     Ok(())
 }
 
-/// Errors of VD-Net, OD-Net and CDF-Net on their own maps, and of BSR-Net's surface.
+/// Errors of VD-Net, OD-Net and CDF-Net on their own maps, of BSR-Net's surface and of the unfolded maps.
 fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> Result<(), Error> {
     // The patch of the truth was read before the depth samples were drawn.
     let patch = understand(&truth.sketch)?.patches.swap_remove(0);
     let maps = SketchMaps::new(&patch, &truth.raster);
     let control = Control::default();
-    let unrefined = unrefined_surface(networks, &patch, &maps, &control)?;
-    surface_errors(case, &unrefined, truth, ["d_c_network", "d_n_network_deg"]);
     let depths = networks.predict_depths(&maps, &control)?;
+    let [predicted, unfolded] = unrefined_surfaces(networks, &patch, &maps, &depths, &control)?;
+    surface_errors(case, &predicted, truth, ["d_c_network", "d_n_network_deg"]);
+    surface_errors(case, &unfolded, truth, ["d_c_start", "d_n_start_deg"]);
     let pixels = MAP * MAP;
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
     let mut free = None;

@@ -27,5 +27,5 @@ pub use report::Report;
 pub use session::{MAX_THREADS, Progress, Session, SessionOptions, Times};
 pub use shared::SharedSession;
 pub use singularities::{FixedSingularity, SurfacePlace};
-pub(crate) use start::unrefined_surface;
+pub(crate) use start::unrefined_surfaces;
 pub use surface::{SurfaceDiagnostics, SurfaceOptions, SurfacePatch, SurfaceResult, sketch_to_surface};

@@ -4,7 +4,7 @@ use crate::control::Control;
 use crate::error::Error;
 use crate::infer::{DepthPrediction, LayerPrediction, NET_SIZE, Networks, SketchMaps};
 use crate::sketch::{CANVAS_HALF_WIDTH, Layer, MAP_SIZE, PatchSketch};
-use crate::surface::{BorderCurves, LayerMap, LayerMaps, NurbsSurface, SurfaceTargets, coons_net};
+use crate::surface::{BorderCurves, LayerMap, LayerMaps, NurbsSurface, SurfaceTargets, coons_net, unfolded_surface};
 use nalgebra::{Point3, Vector3};
 
 /// BSR-Net's own answer, canonical frame: the Coons patch of the border curves, moved by what the network predicts.
@@ -31,19 +31,19 @@ pub(super) fn network_surface(
     NurbsSurface::new(curves.knots.clone(), net.collect(), None)
 }
 
-/// The surface that the networks give alone, before anything is fitted: what refinement is measured against. Canonical frame.
+/// What a refinement is measured against: BSR-Net's own surface, and the unfolded maps where ours begins. Canonical frame.
 ///
 /// # Errors
 /// As [`super::sketch_to_surface`].
-pub(crate) fn unrefined_surface(
+pub(crate) fn unrefined_surfaces(
     networks: &mut Networks,
     patch: &PatchSketch,
     maps: &SketchMaps,
+    depths: &DepthPrediction,
     control: &Control,
-) -> Result<NurbsSurface, Error> {
-    let depths = networks.predict_depths(maps, control)?;
-    let (_, curves) = targets(patch, None, &depths)?;
-    network_surface(networks, maps, &depths, &curves, control)
+) -> Result<[NurbsSurface; 2], Error> {
+    let (targets, curves) = targets(patch, None, depths)?;
+    Ok([network_surface(networks, maps, depths, &curves, control)?, unfolded_surface(&targets, &curves, 1.0)?])
 }
 
 /// What the surface has to obey, and its border in space.
