@@ -21,13 +21,12 @@ SHAPES = {
     "cdf_net": (16, 8, (64, 128, 160), 2, MAP, 2, False),
 }
 
-# Signs of the channels in a sketch that is mirrored left to right: 9 strokes point in x, normals have an x, and the squares of
-# directions have an imaginary part.
+# Signs of the channels, in and out, in a sketch that is mirrored left to right: of the networks that are exported as the mean over
+# both. CDF-Net gains 2 % in angle by that, and its fields get more singularities.
 STROKES, NORMAL = (1,) * 9 + (-1,), (-1, 1, 1)
 MIRRORED = {
     "vd_net": (STROKES + (1,) * 5, (1, 1) + 2 * NORMAL),
     "od_net": (STROKES + (1,) * 3 + NORMAL + (1,), (1, 1) + 2 * NORMAL),
-    "cdf_net": (STROKES + 2 * NORMAL, 4 * (1, -1)),
 }
 
 
