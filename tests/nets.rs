@@ -57,6 +57,16 @@ fn field_angles(field: &FieldResult, net: impl Fn(&Point3<f64>) -> [Vector3<f64>
     pairs.collect()
 }
 
+/// Asserts that field and panels are those of a conjugate net, given by its two directions at a point: within a degree, regular and planar.
+fn assert_is_net(field: &FieldResult, mesh: &MeshResult, net: impl Fn(&Point3<f64>) -> [Vector3<f64>; 2] + Copy) {
+    let off = field_angles(field, net);
+    assert!(mean(&off) < 1.0, "field: {} degrees on the mean", mean(&off));
+    let patch = &mesh.patches[0];
+    let sides = side_angles(&patch.mesh, &patch.on_border, net);
+    assert!(sides.len() > 1000 && mean(&sides) < 1.0, "panels: {} degrees on the mean", mean(&sides));
+    assert!(patch.irregular.is_empty() && mesh.measures().planarity_max < 1e-9);
+}
+
 #[test]
 fn a_translational_surface_comes_out_as_its_translated_curves() {
     // z = 0.15 x^2 + 0.1 y^2 over a square that is turned by 25 degrees, so that no side and no parameter line is in the net.
@@ -77,12 +87,7 @@ fn a_translational_surface_comes_out_as_its_translated_curves() {
     let curves = [curve(&|t| [t, 0.3]), curve(&|t| [-0.4, t]), curve(&|t| [t, -0.8])];
     let (field, mesh) = panels(surface, &curves);
     let truth = |p: &Point3<f64>| [Vector3::new(1.0, 0.0, 0.3 * p.x), Vector3::new(0.0, 1.0, 0.2 * p.y)];
-    let off = field_angles(&field, truth);
-    assert!(mean(&off) < 1.0, "field: {} degrees on the mean", mean(&off));
-    let patch = &mesh.patches[0];
-    let sides = side_angles(&patch.mesh, &patch.on_border, truth);
-    assert!(sides.len() > 1000 && mean(&sides) < 1.0, "panels: {} degrees on the mean", mean(&sides));
-    assert!(patch.irregular.is_empty() && mesh.measures().planarity_max < 1e-9);
+    assert_is_net(&field, &mesh, truth);
     assert!(mesh.report.d_f_deg.unwrap() < 1.0, "{:?}", mesh.report.d_f_deg);
 }
 
@@ -110,10 +115,5 @@ fn a_surface_of_revolution_comes_out_as_meridians_and_parallels() {
         let slope = 1.0 - 2.0 * t;
         [Vector3::new(-p.y, p.x, 0.0), Vector3::new(slope * p.x / r, slope * p.y / r, 3.0)]
     };
-    let off = field_angles(&field, truth);
-    assert!(mean(&off) < 1.0, "field: {} degrees on the mean", mean(&off));
-    let patch = &mesh.patches[0];
-    let sides = side_angles(&patch.mesh, &patch.on_border, truth);
-    assert!(sides.len() > 1000 && mean(&sides) < 1.0, "panels: {} degrees on the mean", mean(&sides));
-    assert!(patch.irregular.is_empty() && mesh.measures().planarity_max < 1e-9);
+    assert_is_net(&field, &mesh, truth);
 }
