@@ -12,8 +12,9 @@ MAP = 64
 HALF_WIDTH = 4.0 * 256 / 232
 PIXEL = 2 * HALF_WIDTH / MAP
 
-# Prior of the depth offset h: constant, slope and a smooth bump; noise of a depth sample (canonical units).
-CONSTANT_SD, SLOPE_SD, BUMP_SD, BUMP_LENGTH, NOISE_SD = 1.0, 0.35, 0.8, 2.0, 0.02
+# Prior of the depth offset h: constant, slope, a smooth bump, and ripples, rougher, which keep two samples on either side of a
+# step from tilting all the rest; noise of a depth sample (canonical units).
+CONSTANT_SD, SLOPE_SD, BUMP_SD, BUMP_LENGTH, RIPPLE_SD, RIPPLE_LENGTH, NOISE_SD = 1.0, 0.35, 0.8, 2.0, 0.4, 0.6, 0.02
 
 
 def map_positions():
@@ -26,11 +27,12 @@ POSITIONS = map_positions()
 
 
 def kernel(p, q):
-    """Prior covariance of h between points p (..., n, 2) and q (..., m, 2)."""
+    """Prior covariance of h between points p (..., n, 2) and q (..., m, 2); of ripples, that of Matern with 3/2."""
     square = (p[..., :, None, :] - q[..., None, :, :]).square().sum(-1)
-    return (
-        CONSTANT_SD**2 + SLOPE_SD**2 * p @ q.transpose(-1, -2) + BUMP_SD**2 * torch.exp(-square / (2 * BUMP_LENGTH**2))
-    )
+    apart = 3**0.5 * square.sqrt() / RIPPLE_LENGTH
+    bump = BUMP_SD**2 * torch.exp(-square / (2 * BUMP_LENGTH**2))
+    ripple = RIPPLE_SD**2 * (1 + apart) * torch.exp(-apart)
+    return CONSTANT_SD**2 + SLOPE_SD**2 * p @ q.transpose(-1, -2) + bump + ripple
 
 
 def sample_base(points, values, given):
@@ -44,7 +46,7 @@ def sample_base(points, values, given):
     cross = kernel(POSITIONS.expand(len(points), -1, -1), points) * given[:, None, :]
     solved = torch.linalg.solve(system, torch.cat([(values * given)[..., None], cross.transpose(1, 2)], 2))
     base = (cross @ solved[..., :1])[..., 0]
-    own = CONSTANT_SD**2 + SLOPE_SD**2 * POSITIONS.square().sum(-1) + BUMP_SD**2
+    own = CONSTANT_SD**2 + SLOPE_SD**2 * POSITIONS.square().sum(-1) + BUMP_SD**2 + RIPPLE_SD**2
     variance = own - (cross * solved[..., 1:].transpose(1, 2)).sum(-1)
     shape = (len(points), 1, MAP, MAP)
     return base.reshape(shape), variance.clamp_min(0).sqrt().reshape(shape)

@@ -313,6 +313,10 @@ const SLOPE_SD: f64 = 0.35;
 const SMOOTH_SD: f64 = 0.8;
 /// Length over which the smooth part varies, canonical units.
 const SMOOTH_LENGTH: f64 = 2.0;
+/// Prior standard deviation of its ripples, canonical units: without them two samples on either side of a step tilt all the rest.
+const RIPPLE_SD: f64 = 0.4;
+/// Length over which the ripples vary, canonical units.
+const RIPPLE_LENGTH: f64 = 0.6;
 /// Standard deviation of the error of a depth sample, canonical units.
 const SAMPLE_SD: f64 = 0.02;
 /// More samples than this add nothing that the maps could show.
@@ -331,15 +335,19 @@ pub struct SampleBase {
 pub fn offset_covariance(p: Point, q: Point) -> f64 {
     let d = sub(p, q);
     let square = d[0] * d[0] + d[1] * d[1];
+    let apart = (3.0 * square).sqrt() / RIPPLE_LENGTH;
     CONSTANT_SD.powi(2)
         + SLOPE_SD.powi(2) * (p[0] * q[0] + p[1] * q[1])
         + SMOOTH_SD.powi(2) * (-square / (2.0 * SMOOTH_LENGTH.powi(2))).exp()
+        + RIPPLE_SD.powi(2) * (1.0 + apart) * (-apart).exp()
 }
 
 /// Gaussian-process regression of the depth offset h through samples (canonical x, y; h).
 ///
-/// Prior: h = constant + slope + smooth part, kernel 1.0^2 + 0.35^2 p.q + 0.8^2 exp(-|p - q|^2 / 8); noise 0.02. Of more
-/// than 200 samples the 200 that lie farthest apart are used.
+/// Prior: h = constant + slope + smooth part + ripples, kernel 1.0^2 + 0.35^2 p.q + 0.8^2 exp(-|p - q|^2 / 8)
+/// + 0.4^2 (1 + r) exp(-r) with r = sqrt(3) |p - q| / 0.6; noise 0.02. Ripples let a map be rough, or step at a contour: on
+/// generated surfaces the depth elsewhere is then as likely as the deviation says, where without them a hundredth of the
+/// sketches with six samples were off by three units. Of more than 200 samples the 200 that lie farthest apart are used.
 pub fn sample_base(points: &[([f64; 2], f64)]) -> SampleBase {
     let points = spread_out(points);
     let n = points.len();
@@ -502,6 +510,12 @@ mod tests {
         let p = at(5, 60);
         assert!((f64::from(none.std[5 * 64 + 60]) - offset_covariance(p, p).sqrt()).abs() < 1e-6);
         assert!(base.std.iter().zip(&none.std).all(|(a, b)| a <= b));
+    }
+
+    #[test]
+    fn a_step_between_two_samples_tilts_nothing_far_away() {
+        let base = sample_base(&[([0.07, 1.72], 0.6), ([0.07, 1.45], -0.6)]).base;
+        assert!(base.iter().all(|h| h.abs() < 2.5), "{:?}", base.iter().fold(0.0f32, |m, h| m.max(h.abs())));
     }
 
     #[test]
