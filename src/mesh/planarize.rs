@@ -601,8 +601,10 @@ impl<'a> State<'a> {
         }
         state.at_corner = (0..count).map(|v| state.is_at_corner(v)).collect();
         let allowed = BORDER_GAP * edge;
+        let parameters: Vec<[f64; 2]> = state.feet.iter().map(|foot| foot.parameters).collect();
+        let sides = border_sides(input.mesh);
         state.border_trace =
-            BorderTrace::new(&state.vertices, &border_sides(input.mesh), &state.on_border, reference, edge, allowed);
+            BorderTrace::new(&state.vertices, &sides, &state.on_border, &parameters, reference, edge, allowed);
         for (v, turn) in border_turns(input.mesh) {
             if state.on_border[v as usize] {
                 state.anchors[v as usize] *= 1.0 + TURN_ANCHOR * turn * turn;
@@ -1788,7 +1790,8 @@ mod tests {
             let mut held = vec![false; mesh.vertices.len()];
             border.iter().for_each(|&v| held[v as usize] = true);
             let sides = border_sides(&mesh);
-            let trace = BorderTrace::new(&mesh.vertices, &sides, &held, &reference, edge, BORDER_GAP * edge);
+            let starts = vec![[0.0; 2]; held.len()];
+            let trace = BorderTrace::new(&mesh.vertices, &sides, &held, &starts, &reference, edge, BORDER_GAP * edge);
             assert!(trace.strains(&result.mesh.vertices).into_iter().all(|strain| strain <= 1.0));
             // Slivers keep their shape.
             let shortest = |m: &PanelMesh| crate::mesh::edge_lengths(m).into_iter().fold(f64::INFINITY, f64::min);
