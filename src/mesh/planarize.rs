@@ -9,7 +9,7 @@ use super::reference::{Foot, MeshReference, Reference};
 use super::split::split_faces;
 use crate::control::Control;
 use crate::error::Error;
-use crate::numeric::{BlockMatrix, SymbolicCholesky};
+use crate::numeric::{BlockMatrix, Cholesky, SymbolicCholesky};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What to planarize, and what to keep to.
@@ -295,10 +295,12 @@ fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error
 }
 
 /// Penalty on the squared constraint residuals, in units of the soft terms' weights; only the speed of the multiplier
-/// updates depends on it.
-const PENALTY: f64 = 1e6;
+/// updates depends on it. Smooth bends of a fine mesh hardly show in the residuals, by the fourth power of their length in
+/// panels: 1e6 is too little for 30,000 faces.
+const PENALTY: f64 = 1e8;
 
-/// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
+/// Solutions with each factorization; each updates the multipliers, which gains a factor of about `PENALTY` over the stiffest soft weight, and
+/// halves what the matrix has too much of the fairness term.
 const UPDATES: usize = 3;
 
 /// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
@@ -340,6 +342,9 @@ const FALLING: f64 = 0.8;
 
 /// Rounds in a row that are kept from going their way by the same face, after which the next attempt has to do something about it.
 const STUCK_ROUNDS: usize = 5;
+
+/// Most steps towards planarity with one factorization.
+const CORRECTIONS: usize = 4;
 
 /// How often weights may grow in one search.
 const GROWTHS: usize = 8;
@@ -475,6 +480,13 @@ fn feature_terms(input: &PlanarizeInput, options: &PlanarizeOptions, edge: f64) 
     terms
 }
 
+/// A factorized round: what small further steps towards planarity need.
+struct System {
+    factor: Cholesky,
+    /// Those of each face that has any.
+    equations: Vec<Option<FaceEquations>>,
+}
+
 /// What a round aims at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
@@ -543,12 +555,12 @@ impl<'a> State<'a> {
         let mut may_split = vec![false; input.mesh.face_count()];
         input.splittable.iter().for_each(|&f| may_split[f as usize] = true);
         let mut pairs = vec![];
-        let groups = input.mesh.faces().filter(|f| f.len() > 3);
-        for group in groups.chain(input.polylines.iter().map(|t| t.as_slice())) {
+        for group in input.mesh.faces().filter(|f| f.len() > 3) {
             for (k, &a) in group.iter().enumerate() {
                 pairs.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
+        pairs.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c]]));
         let edges = edges(input.mesh);
         pairs.extend_from_slice(&edges);
         let angle_sums = angle_sums(input.mesh, options.offsets);
@@ -820,7 +832,7 @@ impl<'a> State<'a> {
     /// the edges there become stiffer. Returns the longest step, in mean edges, and the faces that stayed where they were.
     fn sound_round(&mut self, control: &Control) -> Result<(f64, Vec<usize>), Error> {
         let before = self.vertices.clone();
-        let step = self.round(Phase::Balance, control)?;
+        let (step, _) = self.round(Phase::Balance, control)?;
         let mut stuck = vec![];
         for shortening in 0..SHORTENINGS {
             let spoiled = self.spoiled(f64::INFINITY);
@@ -911,7 +923,7 @@ impl<'a> State<'a> {
         let mut best = (self.vertices.clone(), self.measure());
         for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
             for _ in 0..6 {
-                if self.round(Phase::Penalty(penalty), control)? < STEP_TOLERANCE {
+                if self.round(Phase::Penalty(penalty), control)?.0 < STEP_TOLERANCE {
                     break;
                 }
             }
@@ -933,11 +945,14 @@ impl<'a> State<'a> {
     /// Rounds of projection until the residuals are at rounding level.
     fn project(&mut self, control: &Control) -> Result<(), Error> {
         let mut best = (self.vertices.clone(), self.measure().0);
+        // The soft terms' forces, which the multipliers hold up, are gone now.
+        let multipliers = self.multipliers.clone();
+        self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
         for _ in 0..8 {
             if best.1 <= 1e-12 {
                 break;
             }
-            let step = self.round(Phase::Project, control)?;
+            let (step, system) = self.round(Phase::Project, control)?;
             let worst = self.measure().0;
             if worst >= 0.5 * best.1 && step < LONGEST_STEP {
                 if worst < best.1 {
@@ -946,14 +961,51 @@ impl<'a> State<'a> {
                 break;
             }
             best = (self.vertices.clone(), worst);
+            for _ in 0..CORRECTIONS {
+                if best.1 <= 1e-12 || step > LONGEST_STEP {
+                    break;
+                }
+                self.correct(&system);
+                let corrected = self.measure().0;
+                let converges = corrected < 0.3 * best.1;
+                if corrected < best.1 {
+                    best = (self.vertices.clone(), corrected);
+                }
+                if !converges {
+                    break;
+                }
+            }
+            self.vertices.clone_from(&best.0);
         }
+        self.multipliers = multipliers;
         self.vertices = best.0;
         self.refresh(0.0);
         Ok(())
     }
 
-    /// One Newton round; returns the longest step of a vertex in mean edges.
-    fn round(&mut self, phase: Phase, control: &Control) -> Result<f64, Error> {
+    /// A step towards planarity with the factorization of a round before.
+    fn correct(&mut self, system: &System) {
+        let mut step = vec![0.0; 3 * self.vertices.len()];
+        for (face, equation) in self.input.mesh.faces().zip(&system.equations) {
+            let Some(equation) = equation else { continue };
+            let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
+            let Some(now) = FaceEquations::new(&corners) else { continue };
+            for (&v, residual) in face.iter().zip(&now.residual) {
+                let force = equation.normal * (PENALTY * residual * now.normal.dot(&equation.normal).signum());
+                (0..3).for_each(|a| step[3 * v as usize + a] -= force[a]);
+            }
+        }
+        for v in (0..self.vertices.len()).filter(|&v| self.pinned[v]) {
+            step[3 * v..3 * v + 3].fill(0.0);
+        }
+        system.factor.solve(&mut step);
+        for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
+            *point += Vector3::from_row_slice(s) * self.edge;
+        }
+    }
+
+    /// One Newton round; returns the step that it asked for and the system it solved.
+    fn round(&mut self, phase: Phase, control: &Control) -> Result<(f64, System), Error> {
         control.check()?;
         self.rounds += 1;
         if phase != Phase::Project {
@@ -985,9 +1037,9 @@ impl<'a> State<'a> {
         let factor = self.symbolic.factorize(self.matrix.matrix(), "planarization")?;
 
         let mut step = vec![0.0; 3 * count];
-        let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
-        for _ in 0..updates {
-            step.iter_mut().zip(&gradient).for_each(|(s, g)| *s = -g);
+        for _ in 0..UPDATES {
+            let excess = self.fairness_excess(&step);
+            step.iter_mut().zip(&gradient).zip(&excess).for_each(|((s, g), e)| *s = e - g);
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
                 for (k, &v) in face.iter().enumerate() {
@@ -999,8 +1051,8 @@ impl<'a> State<'a> {
                 step[3 * v..3 * v + 3].fill(0.0);
             }
             factor.solve(&mut step);
-            if updates == 1 {
-                break;
+            if matches!(phase, Phase::Penalty(_)) {
+                continue;
             }
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
@@ -1023,7 +1075,21 @@ impl<'a> State<'a> {
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
-        Ok(longest)
+        Ok((longest, System { factor, equations }))
+    }
+
+    /// What the matrix has too much of the fairness term's Hessian, times a step.
+    fn fairness_excess(&self, step: &[f64]) -> Vec<f64> {
+        let mut excess = vec![0.0; step.len()];
+        for &[a, _, c] in self.input.polylines {
+            for (v, w) in [(a as usize, c as usize), (c as usize, a as usize)] {
+                if !self.pinned[v] {
+                    (0..3)
+                        .for_each(|k| excess[3 * v + k] += self.options.fairness * (step[3 * v + k] - step[3 * w + k]));
+                }
+            }
+        }
+        excess
     }
 
     /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
@@ -1124,20 +1190,22 @@ impl<'a> State<'a> {
             for (&v, c) in triple.iter().zip(factors) {
                 change += (self.vertices[v as usize] - self.input.mesh.vertices[v as usize]) * (c / self.edge);
             }
-            for (i, &v) in triple.iter().enumerate() {
-                if self.pinned[v as usize] {
-                    continue;
-                }
-                for (j, &w) in triple.iter().enumerate().take(i + 1) {
-                    if !self.pinned[w as usize] {
-                        // A pair of places held by one vertex counts in both orders.
-                        let twice = if i != j && v == w { 2.0 } else { 1.0 };
-                        let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
-                        self.matrix.add(v, w, &block);
+            // Twice the squared differences along the two edges instead of the squared second difference: what is too much, the squared difference of
+            // the ends, is put right when the system is solved, and without its block the factor is a third as full.
+            let block = Matrix3::identity() * (2.0 * options.fairness);
+            for (v, w) in [(triple[0], triple[1]), (triple[2], triple[1])] {
+                for (a, b) in [(v, w), (w, v)] {
+                    if v != w && !self.pinned[a as usize] {
+                        self.matrix.add(a, a, &block);
+                        if a > b && !self.pinned[b as usize] {
+                            self.matrix.add(a, b, &-block);
+                        }
                     }
                 }
-                if with_gradient {
-                    let g = change * (options.fairness * factors[i]);
+            }
+            if with_gradient {
+                for (&v, c) in triple.iter().zip(factors).filter(|(v, _)| !self.pinned[**v as usize]) {
+                    let g = change * (options.fairness * c);
                     (0..3).for_each(|a| gradient[3 * v as usize + a] += g[a]);
                 }
             }
