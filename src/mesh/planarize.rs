@@ -316,6 +316,9 @@ const JOINT_STEP: f64 = 0.15;
 /// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
 const STEP_TOLERANCE: f64 = 2e-3;
 
+/// The same of the root mean square over all vertices, where all keep the limits: fairness, all that is left to gain, is not seen by then.
+const TYPICAL_STEP: f64 = 0.03;
+
 /// Motion, in mean edge lengths, below which a vertex keeps its closest point's tangent plane.
 const STALE: f64 = 1e-2;
 
@@ -336,6 +339,9 @@ const LARGEST_HOLD: f64 = 1e5;
 
 /// Step, in mean edge lengths, below which weights may grow before the search has settled.
 const GROWTH_STEP: f64 = 0.3;
+
+/// The same of the root mean square over all vertices.
+const TYPICAL_GROWTH_STEP: f64 = 0.1;
 
 /// Share of the largest strain before one round that is left after it where it falls by itself.
 const FALLING: f64 = 0.8;
@@ -478,6 +484,13 @@ fn feature_terms(input: &PlanarizeInput, options: &PlanarizeOptions, edge: f64) 
         terms.push(FeatureTerm { corners, factors, across, weight });
     }
     terms
+}
+
+/// Lengths of the steps that the vertices asked for in one round, mean edges.
+struct Step {
+    longest: f64,
+    /// Root mean square over all vertices.
+    typical: f64,
 }
 
 /// A factorized round: what small further steps towards planarity need.
@@ -830,7 +843,7 @@ impl<'a> State<'a> {
 
     /// One round after which no face is turned over and no edge collapsed that was not before: vertices there go a part of their way only, and
     /// the edges there become stiffer. Returns the longest step, in mean edges, and the faces that stayed where they were.
-    fn sound_round(&mut self, control: &Control) -> Result<(f64, Vec<usize>), Error> {
+    fn sound_round(&mut self, control: &Control) -> Result<(Step, Vec<usize>), Error> {
         let before = self.vertices.clone();
         let (step, _) = self.round(Phase::Balance, control)?;
         let mut stuck = vec![];
@@ -874,7 +887,7 @@ impl<'a> State<'a> {
         // Faces that kept all rounds so far from going their way, and how many.
         let (mut stuck, mut stuck_for) = (vec![], 0);
         while self.rounds < end {
-            let (step, faces) = self.sound_round(control)?;
+            let (Step { longest: step, typical }, faces) = self.sound_round(control)?;
             let same: Vec<usize> = faces.iter().copied().filter(|f| stuck.contains(f)).collect();
             (stuck, stuck_for) = if same.is_empty() { (faces, 0) } else { (same, stuck_for + 1) };
             if stuck_for >= STUCK_ROUNDS && !self.is_cautious {
@@ -885,7 +898,7 @@ impl<'a> State<'a> {
             let is_settled =
                 step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3;
             shortest = shortest.min(step);
-            if !is_settled && step > GROWTH_STEP {
+            if !is_settled && step > GROWTH_STEP && typical > TYPICAL_GROWTH_STEP {
                 continue;
             }
             self.refresh(STALE);
@@ -896,7 +909,7 @@ impl<'a> State<'a> {
             if stays && growths < GROWTHS && self.rounds + 3 < end {
                 self.grow();
                 growths += 1;
-            } else if is_settled {
+            } else if is_settled || strain <= 0.9 && typical < TYPICAL_STEP {
                 break;
             }
         }
@@ -923,7 +936,7 @@ impl<'a> State<'a> {
         let mut best = (self.vertices.clone(), self.measure());
         for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
             for _ in 0..6 {
-                if self.round(Phase::Penalty(penalty), control)?.0 < STEP_TOLERANCE {
+                if self.round(Phase::Penalty(penalty), control)?.0.longest < STEP_TOLERANCE {
                     break;
                 }
             }
@@ -954,7 +967,7 @@ impl<'a> State<'a> {
             }
             let (step, system) = self.round(Phase::Project, control)?;
             let worst = self.measure().0;
-            if worst >= 0.5 * best.1 && step < LONGEST_STEP {
+            if worst >= 0.5 * best.1 && step.longest < LONGEST_STEP {
                 if worst < best.1 {
                     best = (self.vertices.clone(), worst);
                 }
@@ -962,7 +975,7 @@ impl<'a> State<'a> {
             }
             best = (self.vertices.clone(), worst);
             for _ in 0..CORRECTIONS {
-                if best.1 <= 1e-12 || step > LONGEST_STEP {
+                if best.1 <= 1e-12 || step.longest > LONGEST_STEP {
                     break;
                 }
                 self.correct(&system);
@@ -1005,7 +1018,7 @@ impl<'a> State<'a> {
     }
 
     /// One Newton round; returns the step that it asked for and the system it solved.
-    fn round(&mut self, phase: Phase, control: &Control) -> Result<(f64, System), Error> {
+    fn round(&mut self, phase: Phase, control: &Control) -> Result<(Step, System), Error> {
         control.check()?;
         self.rounds += 1;
         if phase != Phase::Project {
@@ -1075,7 +1088,8 @@ impl<'a> State<'a> {
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
-        Ok((longest, System { factor, equations }))
+        let typical = (step.iter().map(|s| s * s).sum::<f64>() / count as f64).sqrt();
+        Ok((Step { longest, typical }, System { factor, equations }))
     }
 
     /// What the matrix has too much of the fairness term's Hessian, times a step.
