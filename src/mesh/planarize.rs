@@ -373,6 +373,9 @@ const STIFFENINGS: usize = 1;
 /// Attempts to draw in a planar mesh that strays too far; all but the first let faces be split.
 const DRAWN_IN: usize = 5;
 
+/// Of these, how many pass before any face there is let off, where that is allowed.
+const RESORT: usize = 3;
+
 /// Bound of the factor on an edge's stretch weight.
 const LARGEST_STIFFNESS: f64 = 1e4;
 
@@ -534,6 +537,8 @@ struct State<'a> {
     border_trace: BorderTrace,
     /// Factor on the closeness and border weight of each vertex.
     emphasis: Vec<f64>,
+    /// Vertices drawn to their closest point itself: where the reference bends sharply, its tangent leads away.
+    drawn: Vec<bool>,
     /// Multipliers of each face, one for each corner.
     multipliers: Vec<Vec<f64>>,
     edges: Vec<[u32; 2]>,
@@ -563,7 +568,9 @@ impl<'a> State<'a> {
         let count = input.mesh.vertices.len();
         let mut on_border = vec![false; count];
         input.border.iter().for_each(|&v| on_border[v as usize] = true);
-        let mut pinned = vec![false; count];
+        // A vertex of no face has nothing to move for.
+        let mut pinned = vec![true; count];
+        input.mesh.indices.iter().for_each(|&v| pinned[v as usize] = false);
         input.pins.iter().for_each(|&v| pinned[v as usize] = true);
         let mut may_split = vec![false; input.mesh.face_count()];
         input.splittable.iter().for_each(|&f| may_split[f as usize] = true);
@@ -603,6 +610,7 @@ impl<'a> State<'a> {
             hold: vec![1.0; count],
             border_trace: BorderTrace::default(),
             emphasis: vec![1.0; count],
+            drawn: vec![false; count],
             multipliers: input.mesh.faces().map(|f| vec![0.0; f.len()]).collect(),
             stiffness: vec![1.0; edges.len()],
             may_split,
@@ -765,11 +773,12 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Lets faces off being planar that may be split and have a corner farther from the reference than it should be.
-    fn release_strained(&mut self) {
+    /// Lets faces off being planar that may be split, or any as a last resort, and have a corner farther from the reference than it should be.
+    fn release_strained(&mut self, any: bool) {
         let strains = self.strains();
+        let any = any && self.options.split_beyond.is_some();
         for (f, face) in self.input.mesh.faces().enumerate() {
-            self.freed[f] |= self.may_split[f] && face.iter().any(|&v| strains[v as usize] > 1.0);
+            self.freed[f] |= (any || self.may_split[f]) && face.iter().any(|&v| strains[v as usize] > 1.0);
         }
     }
 
@@ -782,6 +791,7 @@ impl<'a> State<'a> {
         self.vertices.clone_from(&self.input.mesh.vertices);
         self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
         self.emphasis.fill(1.0);
+        self.drawn.fill(false);
         self.hold.fill(1.0);
         self.refresh(0.0);
     }
@@ -823,8 +833,11 @@ impl<'a> State<'a> {
                 if strain <= 1.0 || strayed >= DRAWN_IN {
                     break;
                 }
+                for v in 0..self.vertices.len() {
+                    self.drawn[v] |= self.strain(v) > 1.0;
+                }
                 if strayed > 0 {
-                    self.release_strained();
+                    self.release_strained(strayed >= RESORT);
                 }
                 strayed += 1;
             } else {
@@ -1121,7 +1134,10 @@ impl<'a> State<'a> {
             let foot = &self.feet[v];
             let d = foot.direction;
             let along = d * d.transpose();
-            let block = if self.on_border[v] {
+            let block = if self.drawn[v] {
+                let weight = if self.on_border[v] { options.border } else { options.closeness };
+                Matrix3::identity() * (weight * self.emphasis[v])
+            } else if self.on_border[v] {
                 (Matrix3::identity() - along) * (options.border * self.emphasis[v])
             } else {
                 along * (options.closeness * self.emphasis[v])
