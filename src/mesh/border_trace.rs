@@ -34,11 +34,13 @@ impl BorderTrace {
     /// Points along the border that the mesh starts with.
     ///
     /// - `sides`: edges that belong to one face only; those with an end that is not `held` to the border do not count.
+    /// - `parameters`: of each vertex in the reference, where the search along the border starts.
     /// - `edge`: mean edge length; `allowed`: distance from the nearest edge, mesh unit. A point that starts farther away may stay as far.
     pub fn new(
         vertices: &[Point3<f64>],
         sides: &[[u32; 2]],
         held: &[bool],
+        parameters: &[[f64; 2]],
         reference: &dyn Reference,
         edge: f64,
         allowed: f64,
@@ -70,7 +72,7 @@ impl BorderTrace {
                 }
             }
             let range = [start, trace.near.len()];
-            for point in along(&[a, b], reference) {
+            for point in along(&[a, b], side.map(|v| parameters[v as usize]), reference) {
                 trace.points.push(point);
                 trace.allowed.push(allowed.max(distance_to_segment(&[a, b], &point)));
                 trace.ranges.push(range);
@@ -97,21 +99,26 @@ impl BorderTrace {
 }
 
 /// Points of the reference's border from one end of an edge, itself included, to before the other.
-fn along([a, b]: &[Point3<f64>; 2], reference: &dyn Reference) -> Vec<Point3<f64>> {
-    let foot = |p: Point3<f64>| reference.closest_on_border(&p, None).map(|foot| foot.point);
-    let inner = (1..PIECES).filter_map(|k| foot(a + (b - a) * (k as f64 / PIECES as f64)));
-    let mut points: Vec<Point3<f64>> = std::iter::once(*a).chain(inner).chain([*b]).collect();
+fn along([a, b]: &[Point3<f64>; 2], parameters: [[f64; 2]; 2], reference: &dyn Reference) -> Vec<Point3<f64>> {
+    // Searched from the end that is nearer: another side of the border may be as near to the point itself.
+    let foot = |p: Point3<f64>, hint: [f64; 2]| {
+        reference.closest_on_border(&p, Some(hint)).map(|foot| (foot.point, foot.parameters))
+    };
+    let inner = (1..PIECES)
+        .filter_map(|k| foot(a + (b - a) * (k as f64 / PIECES as f64), parameters[usize::from(2 * k > PIECES)]));
+    let mut points: Vec<(Point3<f64>, [f64; 2])> =
+        std::iter::once((*a, parameters[0])).chain(inner).chain([(*b, parameters[1])]).collect();
     let wide = WIDE * (b - a).norm() / PIECES as f64;
     for _ in 0..HALVINGS {
-        let gaps: Vec<[Point3<f64>; 2]> = points.windows(2).map(|w| [w[0], w[1]]).collect();
+        let gaps: Vec<_> = points.windows(2).map(|w| [w[0], w[1]]).collect();
         points.truncate(1);
         for [p, q] in gaps {
-            let between = if (q - p).norm() > wide { foot(nalgebra::center(&p, &q)) } else { None };
+            let between = if (q.0 - p.0).norm() > wide { foot(nalgebra::center(&p.0, &q.0), p.1) } else { None };
             points.extend(between.into_iter().chain([q]));
         }
     }
     points.pop();
-    points
+    points.into_iter().map(|p| p.0).collect()
 }
 
 fn distance_to_segment(ends: &[Point3<f64>; 2], point: &Point3<f64>) -> f64 {
@@ -144,7 +151,7 @@ mod tests {
         let sides: Vec<[u32; 2]> = (0..12).map(|k| [k, (k + 1) % 12]).collect();
         let edge = 2.0 * 15f64.to_radians().sin();
         let sag = |degrees: f64| 1.0 - (0.5 * degrees).to_radians().cos();
-        let trace = BorderTrace::new(&vertices, &sides, &[true; 12], &Circle, edge, 0.1);
+        let trace = BorderTrace::new(&vertices, &sides, &[true; 12], &[[0.0; 2]; 12], &Circle, edge, 0.1);
         let before = trace.strains(&vertices);
         assert!(before.iter().all(|s| (s - sag(30.0) / 0.1).abs() < 1e-12));
         // The edge from 60 to 105 degrees is farthest off at 82.5; the nearest points that are asked for are within 3 degrees.
@@ -157,6 +164,7 @@ mod tests {
         // Where an end is not held nothing is asked.
         let mut held = [true; 12];
         held[3] = false;
-        assert_eq!(BorderTrace::new(&vertices, &sides, &held, &Circle, edge, 0.1).strains(&vertices)[3], 0.0);
+        let trace = BorderTrace::new(&vertices, &sides, &held, &[[0.0; 2]; 12], &Circle, edge, 0.1);
+        assert_eq!(trace.strains(&vertices)[3], 0.0);
     }
 }

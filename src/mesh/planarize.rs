@@ -9,7 +9,7 @@ use super::reference::{Foot, MeshReference, Reference};
 use super::split::split_faces;
 use crate::control::Control;
 use crate::error::Error;
-use crate::numeric::{BlockMatrix, SymbolicCholesky};
+use crate::numeric::{BlockMatrix, Cholesky, SymbolicCholesky};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What to planarize, and what to keep to.
@@ -295,10 +295,12 @@ fn check(input: &PlanarizeInput, options: &PlanarizeOptions) -> Result<(), Error
 }
 
 /// Penalty on the squared constraint residuals, in units of the soft terms' weights; only the speed of the multiplier
-/// updates depends on it.
-const PENALTY: f64 = 1e6;
+/// updates depends on it. Smooth bends of a fine mesh hardly show in the residuals, by the fourth power of their length in
+/// panels: 1e6 is too little for 30,000 faces.
+const PENALTY: f64 = 1e8;
 
-/// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
+/// Solutions with each factorization; each updates the multipliers, which gains a factor of about `PENALTY` over the stiffest soft weight, and
+/// halves what the matrix has too much of the fairness term.
 const UPDATES: usize = 3;
 
 /// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
@@ -313,6 +315,9 @@ const JOINT_STEP: f64 = 0.15;
 
 /// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
 const STEP_TOLERANCE: f64 = 2e-3;
+
+/// The same of the root mean square over all vertices, where all keep the limits: fairness, all that is left to gain, is not seen by then.
+const TYPICAL_STEP: f64 = 0.03;
 
 /// Motion, in mean edge lengths, below which a vertex keeps its closest point's tangent plane.
 const STALE: f64 = 1e-2;
@@ -335,11 +340,17 @@ const LARGEST_HOLD: f64 = 1e5;
 /// Step, in mean edge lengths, below which weights may grow before the search has settled.
 const GROWTH_STEP: f64 = 0.3;
 
+/// The same of the root mean square over all vertices.
+const TYPICAL_GROWTH_STEP: f64 = 0.1;
+
 /// Share of the largest strain before one round that is left after it where it falls by itself.
 const FALLING: f64 = 0.8;
 
 /// Rounds in a row that are kept from going their way by the same face, after which the next attempt has to do something about it.
 const STUCK_ROUNDS: usize = 5;
+
+/// Most steps towards planarity with one factorization.
+const CORRECTIONS: usize = 4;
 
 /// How often weights may grow in one search.
 const GROWTHS: usize = 8;
@@ -361,6 +372,9 @@ const STIFFENINGS: usize = 1;
 
 /// Attempts to draw in a planar mesh that strays too far; all but the first let faces be split.
 const DRAWN_IN: usize = 5;
+
+/// Of these, how many pass before any face there is let off, where that is allowed.
+const RESORT: usize = 3;
 
 /// Bound of the factor on an edge's stretch weight.
 const LARGEST_STIFFNESS: f64 = 1e4;
@@ -475,6 +489,20 @@ fn feature_terms(input: &PlanarizeInput, options: &PlanarizeOptions, edge: f64) 
     terms
 }
 
+/// Lengths of the steps that the vertices asked for in one round, mean edges.
+struct Step {
+    longest: f64,
+    /// Root mean square over all vertices.
+    typical: f64,
+}
+
+/// A factorized round: what small further steps towards planarity need.
+struct System {
+    factor: Cholesky,
+    /// Those of each face that has any.
+    equations: Vec<Option<FaceEquations>>,
+}
+
 /// What a round aims at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
@@ -509,6 +537,8 @@ struct State<'a> {
     border_trace: BorderTrace,
     /// Factor on the closeness and border weight of each vertex.
     emphasis: Vec<f64>,
+    /// Vertices drawn to their closest point itself: where the reference bends sharply, its tangent leads away.
+    drawn: Vec<bool>,
     /// Multipliers of each face, one for each corner.
     multipliers: Vec<Vec<f64>>,
     edges: Vec<[u32; 2]>,
@@ -538,17 +568,19 @@ impl<'a> State<'a> {
         let count = input.mesh.vertices.len();
         let mut on_border = vec![false; count];
         input.border.iter().for_each(|&v| on_border[v as usize] = true);
-        let mut pinned = vec![false; count];
+        // A vertex of no face has nothing to move for.
+        let mut pinned = vec![true; count];
+        input.mesh.indices.iter().for_each(|&v| pinned[v as usize] = false);
         input.pins.iter().for_each(|&v| pinned[v as usize] = true);
         let mut may_split = vec![false; input.mesh.face_count()];
         input.splittable.iter().for_each(|&f| may_split[f as usize] = true);
         let mut pairs = vec![];
-        let groups = input.mesh.faces().filter(|f| f.len() > 3);
-        for group in groups.chain(input.polylines.iter().map(|t| t.as_slice())) {
+        for group in input.mesh.faces().filter(|f| f.len() > 3) {
             for (k, &a) in group.iter().enumerate() {
                 pairs.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
+        pairs.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c]]));
         let edges = edges(input.mesh);
         pairs.extend_from_slice(&edges);
         let angle_sums = angle_sums(input.mesh, options.offsets);
@@ -578,6 +610,7 @@ impl<'a> State<'a> {
             hold: vec![1.0; count],
             border_trace: BorderTrace::default(),
             emphasis: vec![1.0; count],
+            drawn: vec![false; count],
             multipliers: input.mesh.faces().map(|f| vec![0.0; f.len()]).collect(),
             stiffness: vec![1.0; edges.len()],
             may_split,
@@ -601,8 +634,10 @@ impl<'a> State<'a> {
         }
         state.at_corner = (0..count).map(|v| state.is_at_corner(v)).collect();
         let allowed = BORDER_GAP * edge;
+        let parameters: Vec<[f64; 2]> = state.feet.iter().map(|foot| foot.parameters).collect();
+        let sides = border_sides(input.mesh);
         state.border_trace =
-            BorderTrace::new(&state.vertices, &border_sides(input.mesh), &state.on_border, reference, edge, allowed);
+            BorderTrace::new(&state.vertices, &sides, &state.on_border, &parameters, reference, edge, allowed);
         for (v, turn) in border_turns(input.mesh) {
             if state.on_border[v as usize] {
                 state.anchors[v as usize] *= 1.0 + TURN_ANCHOR * turn * turn;
@@ -738,11 +773,12 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Lets faces off being planar that may be split and have a corner farther from the reference than it should be.
-    fn release_strained(&mut self) {
+    /// Lets faces off being planar that may be split, or any as a last resort, and have a corner farther from the reference than it should be.
+    fn release_strained(&mut self, any: bool) {
         let strains = self.strains();
+        let any = any && self.options.split_beyond.is_some();
         for (f, face) in self.input.mesh.faces().enumerate() {
-            self.freed[f] |= self.may_split[f] && face.iter().any(|&v| strains[v as usize] > 1.0);
+            self.freed[f] |= (any || self.may_split[f]) && face.iter().any(|&v| strains[v as usize] > 1.0);
         }
     }
 
@@ -755,6 +791,7 @@ impl<'a> State<'a> {
         self.vertices.clone_from(&self.input.mesh.vertices);
         self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
         self.emphasis.fill(1.0);
+        self.drawn.fill(false);
         self.hold.fill(1.0);
         self.refresh(0.0);
     }
@@ -796,8 +833,11 @@ impl<'a> State<'a> {
                 if strain <= 1.0 || strayed >= DRAWN_IN {
                     break;
                 }
+                for v in 0..self.vertices.len() {
+                    self.drawn[v] |= self.strain(v) > 1.0;
+                }
                 if strayed > 0 {
-                    self.release_strained();
+                    self.release_strained(strayed >= RESORT);
                 }
                 strayed += 1;
             } else {
@@ -816,9 +856,9 @@ impl<'a> State<'a> {
 
     /// One round after which no face is turned over and no edge collapsed that was not before: vertices there go a part of their way only, and
     /// the edges there become stiffer. Returns the longest step, in mean edges, and the faces that stayed where they were.
-    fn sound_round(&mut self, control: &Control) -> Result<(f64, Vec<usize>), Error> {
+    fn sound_round(&mut self, control: &Control) -> Result<(Step, Vec<usize>), Error> {
         let before = self.vertices.clone();
-        let step = self.round(Phase::Balance, control)?;
+        let (step, _) = self.round(Phase::Balance, control)?;
         let mut stuck = vec![];
         for shortening in 0..SHORTENINGS {
             let spoiled = self.spoiled(f64::INFINITY);
@@ -860,7 +900,7 @@ impl<'a> State<'a> {
         // Faces that kept all rounds so far from going their way, and how many.
         let (mut stuck, mut stuck_for) = (vec![], 0);
         while self.rounds < end {
-            let (step, faces) = self.sound_round(control)?;
+            let (Step { longest: step, typical }, faces) = self.sound_round(control)?;
             let same: Vec<usize> = faces.iter().copied().filter(|f| stuck.contains(f)).collect();
             (stuck, stuck_for) = if same.is_empty() { (faces, 0) } else { (same, stuck_for + 1) };
             if stuck_for >= STUCK_ROUNDS && !self.is_cautious {
@@ -871,7 +911,7 @@ impl<'a> State<'a> {
             let is_settled =
                 step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3;
             shortest = shortest.min(step);
-            if !is_settled && step > GROWTH_STEP {
+            if !is_settled && step > GROWTH_STEP && typical > TYPICAL_GROWTH_STEP {
                 continue;
             }
             self.refresh(STALE);
@@ -882,7 +922,7 @@ impl<'a> State<'a> {
             if stays && growths < GROWTHS && self.rounds + 3 < end {
                 self.grow();
                 growths += 1;
-            } else if is_settled {
+            } else if is_settled || strain <= 0.9 && typical < TYPICAL_STEP {
                 break;
             }
         }
@@ -909,7 +949,7 @@ impl<'a> State<'a> {
         let mut best = (self.vertices.clone(), self.measure());
         for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
             for _ in 0..6 {
-                if self.round(Phase::Penalty(penalty), control)? < STEP_TOLERANCE {
+                if self.round(Phase::Penalty(penalty), control)?.0.longest < STEP_TOLERANCE {
                     break;
                 }
             }
@@ -931,27 +971,67 @@ impl<'a> State<'a> {
     /// Rounds of projection until the residuals are at rounding level.
     fn project(&mut self, control: &Control) -> Result<(), Error> {
         let mut best = (self.vertices.clone(), self.measure().0);
+        // The soft terms' forces, which the multipliers hold up, are gone now.
+        let multipliers = self.multipliers.clone();
+        self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
         for _ in 0..8 {
             if best.1 <= 1e-12 {
                 break;
             }
-            let step = self.round(Phase::Project, control)?;
+            let (step, system) = self.round(Phase::Project, control)?;
             let worst = self.measure().0;
-            if worst >= 0.5 * best.1 && step < LONGEST_STEP {
+            if worst >= 0.5 * best.1 && step.longest < LONGEST_STEP {
                 if worst < best.1 {
                     best = (self.vertices.clone(), worst);
                 }
                 break;
             }
             best = (self.vertices.clone(), worst);
+            for _ in 0..CORRECTIONS {
+                if best.1 <= 1e-12 || step.longest > LONGEST_STEP {
+                    break;
+                }
+                self.correct(&system);
+                let corrected = self.measure().0;
+                let converges = corrected < 0.3 * best.1;
+                if corrected < best.1 {
+                    best = (self.vertices.clone(), corrected);
+                }
+                if !converges {
+                    break;
+                }
+            }
+            self.vertices.clone_from(&best.0);
         }
+        self.multipliers = multipliers;
         self.vertices = best.0;
         self.refresh(0.0);
         Ok(())
     }
 
-    /// One Newton round; returns the longest step of a vertex in mean edges.
-    fn round(&mut self, phase: Phase, control: &Control) -> Result<f64, Error> {
+    /// A step towards planarity with the factorization of a round before.
+    fn correct(&mut self, system: &System) {
+        let mut step = vec![0.0; 3 * self.vertices.len()];
+        for (face, equation) in self.input.mesh.faces().zip(&system.equations) {
+            let Some(equation) = equation else { continue };
+            let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
+            let Some(now) = FaceEquations::new(&corners) else { continue };
+            for (&v, residual) in face.iter().zip(&now.residual) {
+                let force = equation.normal * (PENALTY * residual * now.normal.dot(&equation.normal).signum());
+                (0..3).for_each(|a| step[3 * v as usize + a] -= force[a]);
+            }
+        }
+        for v in (0..self.vertices.len()).filter(|&v| self.pinned[v]) {
+            step[3 * v..3 * v + 3].fill(0.0);
+        }
+        system.factor.solve(&mut step);
+        for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
+            *point += Vector3::from_row_slice(s) * self.edge;
+        }
+    }
+
+    /// One Newton round; returns the step that it asked for and the system it solved.
+    fn round(&mut self, phase: Phase, control: &Control) -> Result<(Step, System), Error> {
         control.check()?;
         self.rounds += 1;
         if phase != Phase::Project {
@@ -983,9 +1063,9 @@ impl<'a> State<'a> {
         let factor = self.symbolic.factorize(self.matrix.matrix(), "planarization")?;
 
         let mut step = vec![0.0; 3 * count];
-        let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
-        for _ in 0..updates {
-            step.iter_mut().zip(&gradient).for_each(|(s, g)| *s = -g);
+        for _ in 0..UPDATES {
+            let excess = self.fairness_excess(&step);
+            step.iter_mut().zip(&gradient).zip(&excess).for_each(|((s, g), e)| *s = e - g);
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
                 for (k, &v) in face.iter().enumerate() {
@@ -997,8 +1077,8 @@ impl<'a> State<'a> {
                 step[3 * v..3 * v + 3].fill(0.0);
             }
             factor.solve(&mut step);
-            if updates == 1 {
-                break;
+            if matches!(phase, Phase::Penalty(_)) {
+                continue;
             }
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
@@ -1021,7 +1101,22 @@ impl<'a> State<'a> {
         for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
             *point += Vector3::from_row_slice(s) * scale;
         }
-        Ok(longest)
+        let typical = (step.iter().map(|s| s * s).sum::<f64>() / count as f64).sqrt();
+        Ok((Step { longest, typical }, System { factor, equations }))
+    }
+
+    /// What the matrix has too much of the fairness term's Hessian, times a step.
+    fn fairness_excess(&self, step: &[f64]) -> Vec<f64> {
+        let mut excess = vec![0.0; step.len()];
+        for &[a, _, c] in self.input.polylines {
+            for (v, w) in [(a as usize, c as usize), (c as usize, a as usize)] {
+                if !self.pinned[v] {
+                    (0..3)
+                        .for_each(|k| excess[3 * v + k] += self.options.fairness * (step[3 * v + k] - step[3 * w + k]));
+                }
+            }
+        }
+        excess
     }
 
     /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
@@ -1039,7 +1134,10 @@ impl<'a> State<'a> {
             let foot = &self.feet[v];
             let d = foot.direction;
             let along = d * d.transpose();
-            let block = if self.on_border[v] {
+            let block = if self.drawn[v] {
+                let weight = if self.on_border[v] { options.border } else { options.closeness };
+                Matrix3::identity() * (weight * self.emphasis[v])
+            } else if self.on_border[v] {
                 (Matrix3::identity() - along) * (options.border * self.emphasis[v])
             } else {
                 along * (options.closeness * self.emphasis[v])
@@ -1122,20 +1220,22 @@ impl<'a> State<'a> {
             for (&v, c) in triple.iter().zip(factors) {
                 change += (self.vertices[v as usize] - self.input.mesh.vertices[v as usize]) * (c / self.edge);
             }
-            for (i, &v) in triple.iter().enumerate() {
-                if self.pinned[v as usize] {
-                    continue;
-                }
-                for (j, &w) in triple.iter().enumerate().take(i + 1) {
-                    if !self.pinned[w as usize] {
-                        // A pair of places held by one vertex counts in both orders.
-                        let twice = if i != j && v == w { 2.0 } else { 1.0 };
-                        let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
-                        self.matrix.add(v, w, &block);
+            // Twice the squared differences along the two edges instead of the squared second difference: what is too much, the squared difference of
+            // the ends, is put right when the system is solved, and without its block the factor is a third as full.
+            let block = Matrix3::identity() * (2.0 * options.fairness);
+            for (v, w) in [(triple[0], triple[1]), (triple[2], triple[1])] {
+                for (a, b) in [(v, w), (w, v)] {
+                    if v != w && !self.pinned[a as usize] {
+                        self.matrix.add(a, a, &block);
+                        if a > b && !self.pinned[b as usize] {
+                            self.matrix.add(a, b, &-block);
+                        }
                     }
                 }
-                if with_gradient {
-                    let g = change * (options.fairness * factors[i]);
+            }
+            if with_gradient {
+                for (&v, c) in triple.iter().zip(factors).filter(|(v, _)| !self.pinned[**v as usize]) {
+                    let g = change * (options.fairness * c);
                     (0..3).for_each(|a| gradient[3 * v as usize + a] += g[a]);
                 }
             }
@@ -1788,7 +1888,8 @@ mod tests {
             let mut held = vec![false; mesh.vertices.len()];
             border.iter().for_each(|&v| held[v as usize] = true);
             let sides = border_sides(&mesh);
-            let trace = BorderTrace::new(&mesh.vertices, &sides, &held, &reference, edge, BORDER_GAP * edge);
+            let starts = vec![[0.0; 2]; held.len()];
+            let trace = BorderTrace::new(&mesh.vertices, &sides, &held, &starts, &reference, edge, BORDER_GAP * edge);
             assert!(trace.strains(&result.mesh.vertices).into_iter().all(|strain| strain <= 1.0));
             // Slivers keep their shape.
             let shortest = |m: &PanelMesh| crate::mesh::edge_lengths(m).into_iter().fold(f64::INFINITY, f64::min);

@@ -35,8 +35,11 @@ impl Reference for SurfaceProjector {
         Foot { point: foot.position, direction: foot.normal, parameters: foot.parameters }
     }
 
-    fn closest_on_border(&self, point: &Point3<f64>, _hint: Option<[f64; 2]>) -> Option<Foot> {
-        let foot = self.closest_on_border(point);
+    fn closest_on_border(&self, point: &Point3<f64>, hint: Option<[f64; 2]>) -> Option<Foot> {
+        let foot = match hint {
+            Some(start) => self.closest_on_border_near(point, start),
+            None => self.closest_on_border(point),
+        };
         let [u, v] = foot.parameters;
         let at = self.surface().evaluate(u, v);
         let [on_u, on_v] = [0, 1].map(|k| self.surface().knots()[k].domain().contains(&foot.parameters[k]));

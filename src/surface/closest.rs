@@ -16,6 +16,9 @@ const CONVERGED: f64 = 1e-13;
 /// Seeds that are looked at for one query, at most: the closest ones within reach, in the order of their distance.
 const SEEDS_TRIED: usize = 64;
 
+/// Turn of the border, radians, below which a search along it goes on past a corner of the domain.
+const ROUND_CORNER: f64 = 0.25 * std::f64::consts::PI;
+
 /// A point of a surface found as the closest one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceFoot {
@@ -132,6 +135,34 @@ impl SurfaceProjector {
         let (side, t, distance) = best.unwrap_or((0, self.parameters[1][0], nearest));
         let parameters = on_side(&self.surface, side, t);
         self.foot(parameters, &self.surface.evaluate(parameters[0], parameters[1]), distance)
+    }
+
+    /// The closest point reached from `start` along the border, without a global search: for queries that move a little each time, and where
+    /// another side is as near. Past a corner it goes on along the next side where the border turns by less than [`ROUND_CORNER`] there. A start
+    /// inside the domain has no side: then the global search.
+    pub fn closest_on_border_near(&self, query: &Point3<f64>, start: [f64; 2]) -> SurfaceFoot {
+        let domains = [0, 1].map(|k| self.surface.knots()[k].domain());
+        let sides_at = |at: [f64; 2]| (0..4).filter(move |&side| at[side / 2] == domains[side / 2][side % 2]);
+        let along = |side: usize, at: [f64; 2]| {
+            let (t, distance) = self.newton_on_side(query, side, at[1 - side / 2]);
+            (on_side(&self.surface, side, t), distance)
+        };
+        let nearer = |a: ([f64; 2], f64), b: ([f64; 2], f64)| if b.1 < a.1 { b } else { a };
+        let found = sides_at(start).map(|side| along(side, start)).reduce(nearer);
+        let Some(found) = found else { return self.closest_on_border(query) };
+        let corner = sides_at(found.0).count() == 2 && self.turn_at_corner(found.0) < ROUND_CORNER;
+        let on = if corner { sides_at(found.0).map(|side| along(side, found.0)).reduce(nearer) } else { None };
+        let ([u, v], distance) = on.map_or(found, |on| nearer(found, on));
+        self.foot([u, v], &self.surface.evaluate(u, v), distance)
+    }
+
+    /// Angle by which the border turns at a corner of the domain, radians.
+    fn turn_at_corner(&self, corner: [f64; 2]) -> f64 {
+        let at = self.surface.evaluate(corner[0], corner[1]);
+        let is_low = [0, 1].map(|k| corner[k] <= self.surface.knots()[k].domain()[0]);
+        // Into both sides from there: straight on is half a turn between them.
+        let inwards = [(at.du, is_low[0]), (at.dv, is_low[1])].map(|(d, low)| if low { d } else { -d });
+        std::f64::consts::PI - inwards[0].angle(&inwards[1])
     }
 
     fn foot(&self, parameters: [f64; 2], point: &SurfacePoint, distance: f64) -> SurfaceFoot {
@@ -329,6 +360,34 @@ mod tests {
             assert!((surface.point(u, v) - border.position).norm() < 1e-13);
             assert!([u, v].iter().any(|t| *t == 0.0 || *t == 1.0));
         }
+    }
+
+    /// The bilinear patch with corners S(0, 0), S(1, 0), S(1, 1), S(0, 1) in the plane z = 0.
+    fn quad(corners: [[f64; 2]; 4]) -> SurfaceProjector {
+        let [a, b, c, d] = corners.map(|[x, y]| Point3::new(x, y, 0.0));
+        SurfaceProjector::new(&NurbsSurface::uniform(1, [2, 2], vec![a, d, b, c]).unwrap())
+    }
+
+    #[test]
+    fn a_search_along_the_border_stays_on_its_side_of_a_needle() {
+        let needle = quad([[0.0, 0.0], [10.0, 0.0], [0.0, 1.0], [-1.0, 0.5]]);
+        let query = Point3::new(8.0, 0.15, 0.0);
+        assert!(needle.closest_on_border(&query).parameters[0] == 1.0);
+        let near = needle.closest_on_border_near(&query, [0.7, 0.0]);
+        assert!((near.position - Point3::new(8.0, 0.0, 0.0)).norm() < 1e-9);
+        // Beyond the tip it stays at the corner.
+        let near = needle.closest_on_border_near(&Point3::new(11.0, 2.0, 0.0), [0.9, 0.0]);
+        assert_eq!(near.parameters, [1.0, 0.0]);
+    }
+
+    #[test]
+    fn a_search_along_the_border_goes_on_past_a_round_corner() {
+        let round = quad([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [5.0, 10.0]]);
+        let near = round.closest_on_border_near(&Point3::new(15.0, -1.0, 0.0), [0.9, 0.0]);
+        assert!((near.position - Point3::new(15.0, 0.0, 0.0)).norm() < 1e-9 && near.parameters[0] == 1.0);
+        // From inside there is no side to stay on.
+        let query = Point3::new(3.0, 0.5, 0.0);
+        assert_eq!(round.closest_on_border_near(&query, [0.5, 0.5]), round.closest_on_border(&query));
     }
 
     #[test]
