@@ -16,13 +16,14 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 32] = [
+pub const KEYS: [&str; 33] = [
     "d_c",
     "d_n_deg",
     "d_c_start",
     "d_n_start_deg",
     "d_c_network",
     "d_n_network_deg",
+    "d_c_network_shear",
     "d_v",
     "d_o",
     "d_c_shear",
@@ -148,7 +149,8 @@ fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> R
     let maps = SketchMaps::new(&patch, &truth.raster);
     let control = Control::default();
     let unrefined = unrefined_surface(networks, &patch, &maps, &control)?;
-    surface_errors(case, &unrefined, truth, ["d_c_network", "d_n_network_deg"]);
+    let predicted = surface_errors(case, &unrefined, truth, ["d_c_network", "d_n_network_deg"]);
+    case.values.insert("d_c_network_shear", sheared_chamfer(&predicted, &truth.surface));
     let depths = networks.predict_depths(&maps, &control)?;
     let pixels = MAP * MAP;
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
