@@ -11,9 +11,7 @@ use sketch2pq::pipeline::{
     sketch_to_surface,
 };
 use sketch2pq::sketch::{Sketch, Stroke, StrokeKind, View, parse_json};
-use sketch2pq::surface::{
-    BorderCurves, KnotVector, NurbsSurface, RefineOptions, SurfaceProjector, fit, unfolded_surface,
-};
+use sketch2pq::surface::{BorderCurves, KnotVector, NurbsSurface, RefineOptions, Refined, SurfaceProjector, fit};
 
 fn session() -> Session {
     let options = SessionOptions { backend: BackendChoice::Embedded, threads: 1, ..SessionOptions::default() };
@@ -67,25 +65,24 @@ fn seeds_with_trouble_stay_near_their_strokes() {
     }
 }
 
-/// Sketches whose surface once folded over: strips between a contour and the border behind it that are thinner than a map pixel, corners
-/// in deep notches, parameter lines that jammed beside a contour's end. From exact maps, so that the networks have no part in it.
+/// Sketches whose surface was once wrong although the maps were exact: it folded over, in strips between a contour and the border behind it
+/// that are thinner than a map pixel, in deep notches, where parameter lines jammed beside a contour's end; or it lost the strip that shows
+/// its underside, because the border there was lifted to what lies behind.
 #[test]
-fn sketches_that_folded_over_lie_flat() {
-    let folded = [103, 143, 163].map(|index| (Split::Surfaces, index)).into_iter().chain([(Split::Rotations, 24)]);
-    for (split, index) in folded {
+fn exact_maps_give_the_surface() {
+    let surfaces = [4, 20, 23, 43, 46, 62, 102, 103, 129, 143, 163].map(|index| (Split::Surfaces, index));
+    for (split, index) in surfaces.into_iter().chain([(Split::Rotations, 24)]) {
         let truth = split.sample(index, &Options::default()).unwrap();
         let targets = truth.surface_targets().unwrap();
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
-        let start = unfolded_surface(&targets, &curves, 1.0).unwrap();
-        let refined = fit(&targets, &curves, vec![], &RefineOptions::default(), &Control::default()).unwrap();
-        let report = refined.report;
-        let [start, end] = [&start, &refined.surface].map(|surface| {
-            let [found, actual] = [surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 60));
-            chamfer(&found, &actual).0
-        });
+        let Refined { surface, report } =
+            fit(&targets, &curves, vec![], &RefineOptions::default(), &Control::default()).unwrap();
+        let [found, actual] = [&surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 100));
+        let (distance, angle) = chamfer(&found, &actual);
         assert_eq!(report.folds, 0, "{split:?} {index}: {report:?}");
         assert!(report.border_px[0] < 0.5 && report.contour_px[0] < 0.5, "{split:?} {index}: {report:?}");
-        assert!(start < 0.12 && end < 0.15, "{split:?} {index}: {start} {end}");
+        // The squared distance between points of the same surface, sampled twice, is about 0.001.
+        assert!(distance < 0.006 && angle < 4.0, "{split:?} {index}: {distance} {angle}");
     }
 }
 

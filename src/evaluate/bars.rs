@@ -52,6 +52,9 @@ pub fn bars(split: Split, cases: &[Case]) -> Vec<Bar> {
             at_most_of(c, "reprojection_mean_px", 1.5)
         }),
         each("D_c better than before refinement: 95 %", 0.95, &all, |c| less(c, "d_c", "d_c_network", 1.0)),
+        each("the same, free parameters of depth removed: 95 %", 0.95, &all, |c| {
+            less(c, "d_c_shear", "d_c_network_shear", 1.0)
+        }),
         each("D_c not worse by a tenth: all", 1.0, &all, |c| less(c, "d_c", "d_c_network", 1.1)),
         each("D_n better than before refinement: 95 %", 0.95, &all, |c| less(c, "d_n_deg", "d_n_network_deg", 1.0)),
         each("D_n not worse by a tenth: all", 1.0, &all, |c| less(c, "d_n_deg", "d_n_network_deg", 1.1)),

@@ -16,13 +16,14 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 32] = [
+pub const KEYS: [&str; 33] = [
     "d_c",
     "d_n_deg",
     "d_c_start",
     "d_n_start_deg",
     "d_c_network",
     "d_n_network_deg",
+    "d_c_network_shear",
     "d_v",
     "d_o",
     "d_c_shear",
@@ -146,7 +147,8 @@ fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> R
     let control = Control::default();
     let depths = networks.predict_depths(&maps, &control)?;
     let [predicted, unfolded] = unrefined_surfaces(networks, &patch, &maps, &depths, &control)?;
-    surface_errors(case, &predicted, truth, ["d_c_network", "d_n_network_deg"]);
+    let predicted = surface_errors(case, &predicted, truth, ["d_c_network", "d_n_network_deg"]);
+    case.values.insert("d_c_network_shear", sheared_chamfer(&predicted, &truth.surface));
     surface_errors(case, &unfolded, truth, ["d_c_start", "d_n_start_deg"]);
     let pixels = MAP * MAP;
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.

@@ -143,8 +143,6 @@ const HIGHEST_FACING: f64 = 512.0;
 /// The same for border samples beside a contour, where the sheet between the two may be too thin for the maps: the mean over the border
 /// samples, so that a turn there costs more than smoothness saves.
 const RIM_FACING_WEIGHT: f64 = 4.0;
-/// A contour this near to the border, in map pixels, bounds a sheet that ends at the border.
-const SLIVER_WIDTH: f64 = 1.25;
 /// A contour nearer than this, in map pixels, ends at the border.
 const SLIVER_END: f64 = 0.1;
 /// Facing that is asked for where one side alone is drawn: (S_u x S_v).z / (|S_u| |S_v|). Just enough that rounding and the
@@ -417,7 +415,10 @@ impl<'a> Refiner<'a> {
             })
             .collect();
         refiner.drawn_facing = refiner.draw_facing();
-        refiner.stroke_facing = refiner.strokes.each_ref().map(|stroke| refiner.facing_along(stroke));
+        refiner.stroke_facing = [0, 1, 2, 3].map(|k: usize| {
+            let front: Vec<bool> = sides[k].iter().map(|&i| border.front[i]).collect();
+            refiner.facing_along(&refiner.strokes[k], &front)
+        });
         refiner.begin(start);
         Ok(refiner)
     }
@@ -544,35 +545,22 @@ impl<'a> Refiner<'a> {
             .collect()
     }
 
-    /// The border runs with its sheet on the left where that shows its front: the side with one layer more, or, where a strip is too
-    /// thin for the maps, the side on which a contour bounds it.
-    fn facing_along(&self, stroke: &Polyline) -> Vec<f64> {
-        let pixel = self.targets.maps.visible.pixel();
-        let points = &stroke.points;
-        let at = |i: usize| {
-            let (a, b, p) = (points[i.saturating_sub(1)], points[(i + 1).min(points.len() - 1)], points[i]);
+    /// The side that the border shows at each point of a side: 1 for the front, -1 for the back, 0 beside the end of a contour, where the
+    /// surface turns.
+    fn facing_along(&self, stroke: &Polyline, front: &[bool]) -> Vec<f64> {
+        let reach = SLIVER_END * self.targets.maps.visible.pixel();
+        let at = |(&p, &front): (&[f64; 2], &bool)| {
             let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
-            let nearest = feet.min_by(|a, b| a.distance.total_cmp(&b.distance));
-            let d = [0, 1].map(|c| b[c] - a[c]);
-            if let Some(foot) = nearest.filter(|foot| foot.distance < CREASE_REACH * pixel) {
-                if !(SLIVER_END..SLIVER_WIDTH).contains(&(foot.distance / pixel)) {
-                    return 0.0;
-                }
-                let e = [0, 1].map(|c| foot.position[c] - p[c]);
-                let (along, across) = (d[0] * e[0] + d[1] * e[1], d[0] * e[1] - d[1] * e[0]);
-                // Ahead or behind is only an end of the contour.
-                return if across.abs() > along.abs() { across.signum() } else { 0.0 };
+            let turns = feet.map(|foot| foot.distance).any(|distance| distance < reach);
+            if turns {
+                0.0
+            } else if front {
+                1.0
+            } else {
+                -1.0
             }
-            let reach = pixel / d[0].hypot(d[1]).max(f64::MIN_POSITIVE);
-            let layers = |sign: f64| {
-                let beside = [p[0] - sign * reach * d[1], p[1] + sign * reach * d[0]];
-                let exists =
-                    |side: usize| self.map_sides[side].outside(beside).is_some_and(|(_, pixels)| pixels <= 0.5);
-                i32::from(exists(0) || exists(1)) + i32::from(exists(2) || exists(3))
-            };
-            f64::from((layers(1.0) - layers(-1.0)).signum())
         };
-        (0..points.len()).map(at).collect()
+        stroke.points.iter().zip(front).map(at).collect()
     }
 
     /// Whether a border stroke is so near that it is the outline as well as a contour here.

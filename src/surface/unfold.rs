@@ -71,8 +71,8 @@ enum Line {
         /// Depth of the border, -z.
         depth: f64,
         occluded: bool,
-        /// Whether the line's first pixel lies on the left of the border.
-        left: bool,
+        /// Whether the line's first pixel lies on the side of the border on which its sheet does.
+        within: bool,
     },
     /// With |cosine| of the angle between its normal and the line.
     Contour(f64),
@@ -252,13 +252,9 @@ impl<'a> Sheet<'a> {
                 }
                 self.turns.push((a, b, between));
             }
-            Line::Border { parameters, occluded, left, .. } => {
+            Line::Border { parameters, occluded, within, .. } => {
                 let layer = usize::from(occluded);
-                let left = left == forward;
-                let (here, there) = (self.layers(p), self.layers(q));
-                // The side with more layers; where that is not said, the side on which the border's front lies.
-                let owns = self.exists(layer, p)
-                    && if single && here != there { here > there } else { self.maps[layer].front[p] == left };
+                let owns = within == forward && self.exists(layer, p);
                 if owns {
                     let vertex = self.vertices[layer][p];
                     let weight = self.conductance(vertex)[down] / at;
@@ -279,10 +275,9 @@ impl<'a> Sheet<'a> {
     /// - `at`: shares of the way to `q` at border and contour.
     /// - `forward`: whether `p` is the first pixel of the link.
     fn roll(&mut self, p: usize, q: usize, down: usize, at: [f64; 2], lines: [Line; 2], forward: bool) {
-        let [Line::Border { parameters, depth, left, .. }, Line::Contour(cosine)] = lines else { return };
-        // The strip lies beyond the border and shows the other side, and where a front is seen the sheet lies on the left.
-        let other_side = self.exists(0, p) && self.maps[0].front[p] == (left == forward);
-        if !other_side || self.layers(p) != 1 || self.layers(q) != 0 {
+        let [Line::Border { parameters, depth, within, .. }, Line::Contour(cosine)] = lines else { return };
+        let single = self.exists(0, p) && !self.exists(1, p);
+        if within == forward || !single || self.layers(q) != 0 {
             return;
         }
         let vertex = self.vertices[0][p];
@@ -408,7 +403,7 @@ fn crossings(map: &LayerMap, border: &BorderLoop, curves: &BorderCurves, contour
             // The pixel before the crossing is the left one, or the upper one; rows grow downwards.
             let left = if down == 0 { b[1] < a[1] } else { b[0] > a[0] };
             let depth = -(curves.points[i].z * (1.0 - t) + curves.points[j].z * t);
-            let line = Line::Border { parameters, depth, occluded, left };
+            let line = Line::Border { parameters, depth, occluded, within: left == border.front[i] };
             result.push(Crossing { link, at, line });
         });
     }

@@ -133,6 +133,25 @@ fn what_shows_below_a_fold_is_the_back() {
 }
 
 #[test]
+fn the_border_has_one_layer_more_on_the_side_of_its_sheet() {
+    for patch in [folded(), eared(), square()].map(|sketch| only(&sketch)) {
+        let layers = |p: [f64; 2]| patch.region_at(p).map_or(0, |region| 1 + usize::from(region.occluded.is_some()));
+        let n = patch.border.len();
+        let (mut agreeing, mut sides) = (0, vec![]);
+        for i in 0..n {
+            let (a, b) = (patch.border[i], patch.border[(i + 1) % n].position);
+            let (middle, d) = ([0, 1].map(|k| 0.5 * (a.position[k] + b[k])), [0, 1].map(|k| b[k] - a.position[k]));
+            let [left, right] = [0.5, -0.5].map(|s| layers([middle[0] - s * d[1], middle[1] + s * d[0]]));
+            agreeing += usize::from(if a.side == Front { left > right } else { right > left });
+            sides.push(a.side);
+        }
+        assert!(agreeing > n - n / 50, "{agreeing} of {n}");
+        // The border turns over with the sheet wherever that folds.
+        assert_eq!(sides.contains(&Back), patch.strokes.iter().any(|s| s.kind == R));
+    }
+}
+
+#[test]
 fn order_and_direction_of_strokes_do_not_matter() {
     for original in [folded(), eared(), square()] {
         let expected = only(&original);
