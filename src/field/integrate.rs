@@ -12,6 +12,7 @@ use super::relations::Relations;
 use super::rounding::Reduced;
 use super::seamless_map::{MAP_UNIT, MapDiagnostics, SeamlessMap, Transition};
 use super::seams::{Gauss, NONE, Seams, turned};
+use super::untangle::Tangle;
 use crate::control::Control;
 use crate::error::Error;
 
@@ -45,10 +46,8 @@ pub struct MapOptions {
     pub size_rounds: usize,
     /// Sides that become isolines.
     pub sides: SideFit,
-    /// Most rounds of raising weights where the map is turned over.
-    pub stiffening_rounds: usize,
-    /// Singularities of opposite index that are closer than this cancel, in edge lengths of the `density`: the grid could not tell
-    /// them apart.
+    /// Singularities of opposite index that are closer than this cancel, in edge lengths of the `density`, and so do those at the ends of
+    /// one edge of the triangulation: the grid could not tell them apart, or no triangle would be left to hold a cell between them.
     pub pair_distance: f64,
     /// Singularities closer than this to the border are moved over it, in edge lengths.
     pub rim_distance: f64,
@@ -61,12 +60,14 @@ impl Default for MapOptions {
             size_weight: 0.05,
             size_rounds: 1,
             sides: SideFit::Within(6f64.to_radians()),
-            stiffening_rounds: 6,
             pair_distance: 1.0,
             rim_distance: 0.5,
         }
     }
 }
+
+/// Most integers that are moved after rounding.
+const MOST_SHIFTS: usize = 4;
 
 /// Integrates `field` to a seamless map.
 ///
@@ -141,10 +142,9 @@ impl<'a> Integrator<'a> {
             base: Reduced::default(),
             relaxed_cells: 0.0,
         };
-        let stiffness = vec![1.0; integrator.triangles.len()];
         for round in 0..=options.size_rounds {
             control.step("map", round as f64 / (options.size_rounds + 2) as f64)?;
-            let (values, gradient) = integrator.assemble(&stiffness);
+            let (values, gradient) = integrator.assemble();
             integrator.base = integrator.system.reduce(values, gradient)?;
             let y = integrator.base.relaxed();
             let solution = integrator.base.solution(1.0, &y);
@@ -179,37 +179,40 @@ impl<'a> Integrator<'a> {
             return Err(Error::NoMesh { reason: "the field's map has no area".into() });
         }
         let scale = (cells / self.relaxed_cells).sqrt();
-        let y = self.base.rounded(scale);
-        let mut corners = self.system.corners(&self.base.solution(scale, &y));
-        let mut solution = self.base.solution(scale, &y);
-        let mut flipped = flipped(&corners);
-        let mut rounds = 0;
-        // Raise the weight of sizes around turned-over triangles until they turn back.
-        let mut stiffness = vec![1.0; self.triangles.len()];
-        while !flipped.is_empty() && rounds < self.options.stiffening_rounds {
-            control.step("map", 0.8)?;
-            rounds += 1;
-            for &t in &flipped {
-                for corner in self.field.mesh.triangles[t] {
-                    for h in self.seams.fan(corner as usize) {
-                        stiffness[h / 3] *= 1.6;
+        let mut y = self.base.rounded(scale);
+        let rounded = flipped(&self.system.corners(&self.base.solution(scale, &y)));
+        control.step("map", 0.8)?;
+        let tangle = self.tangle(scale);
+        let untangled = |y: &[f64]| -> Result<(Vec<f64>, Vec<usize>), Error> {
+            let mut solution = self.base.solution(scale, y);
+            let turned = tangle.untangle(&mut solution, control)?;
+            Ok((solution, turned))
+        };
+        let (mut solution, mut turned) = untangled(&y)?;
+        // What cannot be turned back lies between integers that met: move one of them.
+        for _ in 0..MOST_SHIFTS {
+            let mut better = None;
+            for k in tangle.integers_of(&turned) {
+                for step in [-1.0, 1.0] {
+                    let mut other = y.clone();
+                    other[k] += step;
+                    let (trial, left) = untangled(&other)?;
+                    if left.len() < better.as_ref().map_or(turned.len(), |(_, _, left): &(_, _, Vec<_>)| left.len()) {
+                        better = Some((other, trial, left));
                     }
                 }
             }
-            let (values, gradient) = self.assemble(&stiffness);
-            let next = self.system.solve(values, gradient, scale, &y)?;
-            let next_corners = self.system.corners(&next);
-            let next_flipped = self::flipped(&next_corners);
-            if next_flipped.len() <= flipped.len() {
-                (corners, solution) = (next_corners, next);
+            match better {
+                Some(found) => (y, solution, turned) = found,
+                None => break,
             }
-            flipped = next_flipped;
         }
+        let corners = self.system.corners(&solution);
         let diagnostics = MapDiagnostics {
-            flipped: self::flipped(&corners).len(),
+            flipped: flipped(&corners),
+            flipped_by_rounding: rounded,
             cells: corners.iter().map(signed_area).sum(),
             direction_mean_deg: self.direction_error(&corners),
-            stiffening_rounds: rounds,
         };
         let (corners, transitions) =
             self.quantize(&solution, &self.relations.values(&y.iter().map(|&x| x as i64).collect::<Vec<_>>()));
@@ -226,18 +229,24 @@ impl<'a> Integrator<'a> {
         })
     }
 
+    /// What turns triangles of the map at this scale back.
+    fn tangle(&self, scale: f64) -> Tangle<'_> {
+        let sizes = self.sizes.iter().map(|s| s.map(|x| x * scale)).collect();
+        Tangle { field: self.field, seams: &self.seams, elements: &self.triangles, system: &self.system, sizes }
+    }
+
     /// Assembles the energy
     /// sum over triangles and families of A (sin^2(crossing) (grad a . v)^2 / s^2 + w (grad a . u / s - 1)^2)
     /// as matrix values and gradient. The first term is about the squared angle between isoline and field; lines that the field follows add more
     /// of that along themselves.
-    fn assemble(&self, stiffness: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    fn assemble(&self) -> (Vec<f64>, Vec<f64>) {
         let mut values = vec![0.0; self.system.slots];
         let mut gradient = vec![0.0; self.system.free + self.system.integers];
         for (t, element) in self.triangles.iter().enumerate() {
             let mut hessian = [0.0; 18];
             let mut right = [0.0; 6];
-            let weight = element.area * stiffness[t].min(1e4);
-            let size_weight = (self.options.size_weight * stiffness[t] * stiffness[t]).min(1.0) * weight;
+            let weight = element.area;
+            let size_weight = self.options.size_weight * weight;
             for family in 0..2 {
                 let inverse = 1.0 / self.sizes[t][family];
                 let (across, along) = (&element.along[1 - family], &element.along[family]);
@@ -378,8 +387,8 @@ fn signed_area(c: &[[f64; 2]; 3]) -> f64 {
     0.5 * (p[0] * q[1] - p[1] * q[0])
 }
 
-fn flipped(corners: &[[[f64; 2]; 3]]) -> Vec<usize> {
-    (0..corners.len()).filter(|&t| signed_area(&corners[t]) <= 0.0).collect()
+fn flipped(corners: &[[[f64; 2]; 3]]) -> usize {
+    corners.iter().filter(|c| signed_area(c) <= 0.0).count()
 }
 
 #[cfg(test)]
@@ -422,5 +431,35 @@ mod tests {
         field.lines = lines.clone();
         let with = angle_along(&integrate(&field, &MapOptions::default(), &control).unwrap(), &lines);
         assert!((without - 12.0).abs() < 0.5 && with < 4.0, "{without} {with}");
+    }
+
+    #[test]
+    fn folds_are_turned_back_where_they_are_and_nothing_else_moves() {
+        let control = Control::default();
+        let mesh = SurfaceMesh::new(&graph(|x, y| 0.1 * x * x - 0.2 * y * y), [20, 20]).unwrap();
+        let field = conjugate_field(mesh, None, &[], &FieldOptions::default(), &control).unwrap();
+        let integrator = Integrator::new(&field, &MapOptions::default(), &control).unwrap();
+        let scale = (500.0 / integrator.relaxed_cells).sqrt();
+        let exact = integrator.base.solution(scale, &integrator.base.rounded(scale));
+        assert_eq!(flipped(&integrator.system.corners(&exact)), 0);
+        // Pull one inner vertex over its neighbours.
+        let vertex = 7 * 21 + 9;
+        let mut folded = exact.clone();
+        for form in &integrator.vertex_forms[vertex] {
+            let Form::Free(x) = form else { panic!("an inner vertex is free") };
+            folded[*x as usize] += 2.5;
+        }
+        assert!(flipped(&integrator.system.corners(&folded)) > 0);
+        let left = integrator.tangle(scale).untangle(&mut folded, &control).unwrap();
+        assert!(left.is_empty() && flipped(&integrator.system.corners(&folded)) == 0);
+        let moved = |v: usize| {
+            integrator.vertex_forms[v]
+                .iter()
+                .any(|form| matches!(form, Form::Free(x) if (folded[*x as usize] - exact[*x as usize]).abs() > 0.0))
+        };
+        for v in (0..21 * 21).filter(|&v| moved(v)) {
+            let steps = [v / 21, v % 21].iter().zip([7, 9]).map(|(&i, j): (&usize, usize)| i.abs_diff(j)).max();
+            assert!(steps <= Some(5), "{v} is {steps:?} away");
+        }
     }
 }

@@ -160,22 +160,6 @@ impl System {
         (0..self.contribution_starts.len() - 1).map(|t| [0, 1, 2].map(|k| [value(t, k), value(t, 3 + k)])).collect()
     }
 
-    /// The minimum over the free unknowns, y fixed; free unknowns, then y.
-    pub fn solve(&self, values: Vec<f64>, gradient: Vec<f64>, scale: f64, y: &[f64]) -> Result<Vec<f64>, Error> {
-        let n = self.free;
-        let direct = self.rows.len();
-        let factor = self.factorize(&values)?;
-        let mut solution: Vec<f64> = gradient[..n].iter().map(|g| scale * g).collect();
-        for (&(x, k), value) in self.mixed.iter().zip(&values[direct..]) {
-            solution[x as usize] -= value * y[k as usize];
-        }
-        if n > 0 {
-            factor.solve(&mut solution);
-        }
-        solution.extend_from_slice(y);
-        Ok(solution)
-    }
-
     fn factorize(&self, values: &[f64]) -> Result<Cholesky, Error> {
         let n = self.free;
         let values = values[..self.rows.len()].to_vec();

@@ -26,6 +26,7 @@ mod test_picture;
 mod test_surfaces;
 mod topology;
 mod trace;
+mod untangle;
 mod visit;
 
 pub use conjugate::{SecondForm, middle_forms, second_forms};

@@ -50,6 +50,6 @@ pub struct MapDiagnostics {
     pub cells: f64,
     /// Mean angle between isolines and the field, over area and both families, degrees.
     pub direction_mean_deg: f64,
-    /// Rounds of stiffening used.
-    pub stiffening_rounds: usize,
+    /// The same before they were turned back.
+    pub flipped_by_rounding: usize,
 }
