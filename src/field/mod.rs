@@ -7,11 +7,16 @@ mod conjugate;
 mod conjugate_field;
 mod integrate;
 mod lift;
+mod map_elements;
+mod map_system;
+mod map_unknowns;
 mod matching;
 mod parallel;
 mod polyvector;
 mod prescribe;
 mod relations;
+mod rounding;
+mod seamless_map;
 mod seams;
 mod smooth;
 mod system;
@@ -21,18 +26,18 @@ mod test_picture;
 mod test_surfaces;
 mod topology;
 mod trace;
+mod untangle;
 mod visit;
 
 pub use conjugate::{SecondForm, middle_forms, second_forms};
 pub use conjugate_field::{ConjugateField, FieldDiagnostics, Singularity};
-pub use integrate::{
-    Density, Integrator, MAP_UNIT, MapDiagnostics, MapOptions, SeamlessMap, SideFit, Transition, integrate,
-};
+pub use integrate::{Density, Integrator, MapOptions, SideFit, integrate};
 pub use lift::{
     CanvasField, CanvasView, constraints_along, constraints_from_lines, constraints_from_parameters, guess_from_canvas,
 };
 pub use matching::{Cross, match_field, matching};
 pub use polyvector::PolyVector;
+pub use seamless_map::{MAP_UNIT, MapDiagnostics, SeamlessMap, Transition};
 pub use smooth::{
     DirectionConstraint, FieldOptions, conjugate_field, conjugate_field_with_singularities, smoothness_energy,
 };

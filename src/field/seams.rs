@@ -72,7 +72,7 @@ pub(crate) struct Seams {
 }
 
 impl Seams {
-    /// Cuts and combs `field`; opposite singularities closer than `pair` cancel, and those closer than `rim` to a border that the field does not
+    /// Cuts and combs `field`; opposite singularities closer than `pair`, or on one edge, cancel unless `pair` is 0, and those closer than `rim` to a border that the field does not
     /// follow leave over it.
     pub fn new(field: &ConjugateField, pair: f64, rim: f64) -> Self {
         let triangles = &field.mesh.triangles;
@@ -170,6 +170,7 @@ impl Seams {
     fn cancel(&mut self, field: &ConjugateField, border: &[bool], held: &[bool], pair: f64, rim: f64) {
         let singular: Vec<u32> =
             (0..border.len() as u32).filter(|&v| !border[v as usize] && self.turns_around(v as usize) != 0).collect();
+        let origin = |h: u32| field.mesh.triangles[h as usize / 3][h as usize % 3];
         // (path length, start, end, half-edges from the end back to the start)
         let mut paths: Vec<(f64, u32, u32, Vec<u32>)> = vec![];
         let mut distance = vec![f64::INFINITY; border.len()];
@@ -182,14 +183,15 @@ impl Seams {
                 if d > distance[v as usize] {
                     continue;
                 }
+                let on_edge = pair > 0.0 && towards[v as usize] != NONE && origin(towards[v as usize]) == s;
                 let ends_here = (border[v as usize] && !held[v as usize] && d < rim)
-                    || (v > s && d < pair && singular.contains(&v));
+                    || (v > s && (d < pair || on_edge) && singular.contains(&v));
                 if ends_here {
                     let (mut path, mut w) = (vec![], v);
                     while w != s {
                         let h = towards[w as usize];
                         path.push(h);
-                        w = field.mesh.triangles[h as usize / 3][h as usize % 3];
+                        w = origin(h);
                     }
                     paths.push((d, s, v, path));
                 }
@@ -199,7 +201,8 @@ impl Seams {
                 for h in self.fan(v as usize) {
                     let w = field.mesh.triangles[h / 3][(h + 1) % 3];
                     let further = d + (field.mesh.position(v) - field.mesh.position(w)).norm();
-                    if further < distance[w as usize] && further < pair.max(rim) {
+                    let near = further < pair.max(rim) || (v == s && pair > 0.0);
+                    if further < distance[w as usize] && near {
                         distance[w as usize] = further;
                         towards[w as usize] = h as u32;
                         touched.push(w);

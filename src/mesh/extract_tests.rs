@@ -409,10 +409,10 @@ fn any_field_gives_a_disk_that_covers_the_patch() {
         let largest = result.mesh.faces().map(|f| f.len()).max().unwrap();
         if verbose.is_some() {
             println!(
-                "seed{seed}: cells {cells:?} target {target} faces {} flipped {} ({} rounds) angle {:.1} singular {} irregular {} turned faces {bad} largest {largest} {:?}",
+                "seed{seed}: cells {cells:?} target {target} faces {} flipped {} ({} by rounding) angle {:.1} singular {} irregular {} turned faces {bad} largest {largest} {:?}",
                 result.mesh.face_count(),
                 map.diagnostics.flipped,
-                map.diagnostics.stiffening_rounds,
+                map.diagnostics.flipped_by_rounding,
                 map.diagnostics.direction_mean_deg,
                 map.singular.len(),
                 result.irregular.len(),
@@ -423,6 +423,8 @@ fn any_field_gives_a_disk_that_covers_the_patch() {
             }
         }
         assert!(topology.is_disk(), "seed {seed}: {topology:?}");
+        // Rounding turns triangles over in a seventh of the cases; all of them are turned back.
+        assert_eq!(map.diagnostics.flipped, 0, "seed {seed}");
         assert!((areas.iter().sum::<f64>() - 1.0).abs() < 1e-9, "seed {seed}");
         assert!(result.covers, "seed {seed}");
         let again = extract(&integrate(&field, &map_options, &control).unwrap(), &surface, &options, &control).unwrap();
