@@ -25,23 +25,21 @@ pub fn unfolded_surface(
     NurbsSurface::new(curves.knots.clone(), net, None)
 }
 
-/// Surface that obeys `targets`: the unfolded maps, or that of `others` that begins with less energy, refined; where it folds over, once
-/// more from smoother unfolded maps, and the better of the two.
+/// Surface that obeys `targets`: the unfolded maps, or the targets' other guess if that begins with less energy, refined; where it folds
+/// over, once more from smoother unfolded maps, and the better of the two.
 ///
 /// - `curves`: the border in space, made of the targets' border, corners and maps.
-/// - `others`: further starts, cubic, on the knots of `curves`.
 ///
 /// # Errors
 /// As [`unfolded_net`] and [`refine_best`].
 pub fn fit(
     targets: &SurfaceTargets,
     curves: &BorderCurves,
-    others: Vec<NurbsSurface>,
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
     let mut starts = vec![unfolded_surface(targets, curves, 1.0)?];
-    starts.extend(others);
+    starts.extend(targets.guess.clone());
     let refined = refine_best(&starts, targets, options, control)?;
     if refined.report.folds == 0 || options.iterations == 0 {
         return Ok(refined);

@@ -6,7 +6,7 @@ use super::knots::{Basis, KnotVector};
 use super::layer_map::{EXTRAPOLATED_RINGS, MapSample, MapSide};
 use super::nurbs::NurbsSurface;
 use super::silhouette::{self, Polyline};
-use super::targets::{LayerSample, SurfaceTargets};
+use super::targets::{Correction, LayerSample, SurfaceTargets};
 use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram};
 use crate::control::Control;
 use crate::error::Error;
@@ -109,6 +109,9 @@ const EVENNESS_WEIGHT: f64 = 3e-3;
 const EVENNESS_DEPTH_WEIGHT: f64 = 1e-5;
 /// Closeness to the start, mean squared displacement.
 const CLOSENESS_WEIGHT: f64 = 1e-4;
+/// Depth against another guess of the surface, at the same parameters, mean squared: as much as the maps' depth. Where the errors of two
+/// guesses have little to do with each other, the middle is better than both.
+const GUESS_WEIGHT: f64 = 1.0;
 /// Depth residuals r beyond this, s, count less and less, 2 s^2 (1 - (1 + r^2 / s^2)^(-1/2)): maps are wrong by whole layers at
 /// occlusions.
 const ROBUST_DEPTH: f64 = 0.7;
@@ -161,7 +164,7 @@ const CONVERGED: f64 = 2e-2;
 /// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, the side that faces the
 /// viewer where the sketch draws one side alone, distance of the
 /// border to its strokes and corners, distance of the silhouette to the contour strokes, depth samples on their lines of
-/// sight, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
+/// sight, the depth of another guess if there is one, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
 /// Steps are accepted only if the energy falls, and where folds remain the side that the sketch shows counts more and more:
 /// of all steps the last with the fewest folds is the result, so it is never worse than the start.
 ///
@@ -243,6 +246,9 @@ struct Refiner<'a> {
     fairness: [Banded; 2],
     /// Evenness and closeness, for x and y, and for z.
     evenness: [[Banded; 2]; 2],
+    /// The other guess: z of its net, corrected to the depth samples.
+    guess: Option<Vec<f64>>,
+    guessed: [Banded; 2],
     /// Factor on evenness: high in the first steps, and where the parametrization would fold.
     stiffness: f64,
     /// Factor on the weight of facing: high where folds remain.
@@ -362,6 +368,8 @@ impl<'a> Refiner<'a> {
         let closeness = CLOSENESS_WEIGHT * options.closeness;
         let evenness = [EVENNESS_WEIGHT, EVENNESS_DEPTH_WEIGHT]
             .map(|weight| [0, 1].map(|axis: usize| &slope[axis] * weight + &mass[axis] * (0.5 * closeness)));
+        let share = if targets.guess.is_some() { 0.5 * GUESS_WEIGHT } else { 0.0 };
+        let guessed = mass.each_ref().map(|mass| mass * share);
         // The preconditioner sees mean directions: in x and y borders act half, depth a fifth; in z depth acts mostly.
         let preconditioner = [(0.2, 0.5 * BORDER_WEIGHT, 0.2), (0.6, 0.1, 0.6)].map(|(depth, border, normal)| {
             let part = usize::from(border < 1.0);
@@ -373,7 +381,8 @@ impl<'a> Refiner<'a> {
                 matrix
             });
             let stiffness = [0, 1].map(|axis: usize| {
-                &fairness[axis] + &evenness[part][axis] + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
+                let level = &guessed[axis] * part as f64;
+                &fairness[axis] + &evenness[part][axis] + level + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
             });
             FastDiagonal::new([&stiffness[0], &stiffness[1]], [&bordered[0], &bordered[1]], depth)
                 .expect("mass matrices of B-splines are positive definite")
@@ -384,6 +393,8 @@ impl<'a> Refiner<'a> {
             shares: Default::default(),
             mass: banded(&mass),
             fairness: banded(&fairness),
+            guess: None,
+            guessed: banded(&guessed),
             stiffness: 1.0,
             facing: 1.0,
             regularity: Default::default(),
@@ -400,6 +411,7 @@ impl<'a> Refiner<'a> {
             contours: vec![],
             start: vec![],
         };
+        refiner.guess = targets.guess.as_ref().map(|guess| refiner.heights(guess)).transpose()?;
         refiner.stiffen(1.0);
         refiner.contours = targets
             .contours
@@ -433,8 +445,27 @@ impl<'a> Refiner<'a> {
     fn stiffen(&mut self, stiffness: f64) {
         self.stiffness = stiffness;
         self.regularity = [0, 1].map(|part: usize| {
-            [0, 1].map(|axis: usize| self.fairness[axis].plus(&self.evenness[part][axis], stiffness))
+            [0, 1].map(|axis: usize| {
+                let smooth = self.fairness[axis].plus(&self.evenness[part][axis], stiffness);
+                smooth.plus(&self.guessed[axis], part as f64)
+            })
         });
+    }
+
+    /// z of the net of another guess, moved smoothly to the depth samples that it shows.
+    fn heights(&self, guess: &NurbsSurface) -> Result<Vec<f64>, Error> {
+        if guess.knots() != &self.knots || guess.weights().is_some() {
+            return Err(Error::Nurbs {
+                reason: "another guess of the surface is on other knots than the start".into(),
+            });
+        }
+        let planes = self.planes(&planes_of(guess));
+        let known = self.targets.samples.iter().filter_map(|sample| {
+            let [u, v] = self.sight(guess, &planes, sample)?;
+            Some((sample.position, -sample.depth - guess.point(u, v).z))
+        });
+        let correction = Correction::new(&known.collect::<Vec<_>>());
+        Ok(guess.control_points().iter().map(|p| p.z + correction.at([p.x, p.y])).collect())
     }
 
     fn run(&mut self, iterations: usize, control: &Control) -> Result<Refined, Error> {
@@ -763,6 +794,15 @@ impl<'a> Refiner<'a> {
             product.iter_mut().for_each(|x| *x *= self.stiffness);
             energy += dot(&difference, &product);
             add(&mut gradient[c * n..(c + 1) * n], &product);
+        }
+        if let Some(guess) = &self.guess {
+            for (d, (now, guess)) in difference.iter_mut().zip(net[2 * n..].iter().zip(guess)) {
+                *d = now - guess;
+            }
+            product.fill(0.0);
+            self.add_tensor(&self.guessed, &difference, &mut product, &mut scratch);
+            energy += dot(&difference, &product);
+            add(&mut gradient[2 * n..], &product);
         }
         model.energy = if energy.is_nan() { f64::INFINITY } else { energy };
         model.gradient = gradient;
@@ -1326,6 +1366,7 @@ mod tests {
             contours: scene.contours.clone(),
             samples: vec![],
             maps: scene.maps.clone(),
+            guess: None,
         }
     }
 
