@@ -203,29 +203,14 @@ pub fn refine_best(
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    let (first, others) =
-        starts.split_first().ok_or_else(|| Error::Degenerate { reason: "refinement has no start".into() })?;
-    let mut refiner = Refiner::new(first, targets, options)?;
-    if !others.is_empty() {
-        let mut best = (refiner.linearize(&refiner.start).energy, first);
-        for start in others {
-            if start.knots() != &refiner.knots || start.weights().is_some() {
-                return Err(Error::Nurbs { reason: "starts of one refinement differ in their knots".into() });
-            }
-            refiner.begin(start);
-            let energy = refiner.linearize(&refiner.start).energy;
-            if energy < best.0 {
-                best = (energy, start);
-            }
-        }
-        refiner.begin(best.1);
-    }
-    refiner.run(options.iterations, control)
+    let first = starts.first().ok_or_else(|| Error::Degenerate { reason: "refinement has no start".into() })?;
+    Refiner::new(first.knots(), targets, options)?.run_best(starts, control)
 }
 
 /// What stays the same through the iterations.
-struct Refiner<'a> {
+pub(super) struct Refiner<'a> {
     targets: &'a SurfaceTargets,
+    iterations: usize,
     knots: [KnotVector; 2],
     grid: TensorGrid,
     /// Trapezoid weights of the grid in u and v, each summing to 1.
@@ -319,7 +304,12 @@ enum Association {
 }
 
 impl<'a> Refiner<'a> {
-    fn new(start: &NurbsSurface, targets: &'a SurfaceTargets, options: &RefineOptions) -> Result<Self, Error> {
+    /// All that does not depend on the start; [`Refiner::run_best`] follows.
+    pub(super) fn new(
+        knots: &[KnotVector; 2],
+        targets: &'a SurfaceTargets,
+        options: &RefineOptions,
+    ) -> Result<Self, Error> {
         for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(Error::Argument {
@@ -329,9 +319,9 @@ impl<'a> Refiner<'a> {
                 });
             }
         }
-        let knots = start.knots().clone();
-        if start.weights().is_some() || knots.iter().any(|k| k.degree() != 3) {
-            return Err(Error::Nurbs { reason: "refinement takes a cubic surface without weights".into() });
+        let knots = knots.clone();
+        if knots.iter().any(|k| k.degree() != 3) {
+            return Err(Error::Nurbs { reason: "refinement takes a cubic surface".into() });
         }
         let border = &targets.border;
         let sides: [Vec<usize>; 4] = [0, 1, 2, 3].map(|k| border.side(targets.corners, k));
@@ -390,6 +380,7 @@ impl<'a> Refiner<'a> {
         let banded = |matrices: &[DMatrix<f64>; 2]| matrices.each_ref().map(|matrix| Banded::new(matrix, 3));
         let mut refiner = Self {
             targets,
+            iterations: options.iterations,
             shares: Default::default(),
             mass: banded(&mass),
             fairness: banded(&fairness),
@@ -431,8 +422,28 @@ impl<'a> Refiner<'a> {
             let front: Vec<bool> = sides[k].iter().map(|&i| border.front[i]).collect();
             refiner.facing_along(&refiner.strokes[k], &front)
         });
-        refiner.begin(start);
         Ok(refiner)
+    }
+
+    /// Refines the start with the least energy.
+    pub(super) fn run_best(&mut self, starts: &[NurbsSurface], control: &Control) -> Result<Refined, Error> {
+        if starts.iter().any(|start| start.knots() != &self.knots || start.weights().is_some()) {
+            return Err(Error::Nurbs { reason: "a start has weights, or other knots than the first".into() });
+        }
+        let mut best = None;
+        for start in starts {
+            self.begin(start);
+            if starts.len() > 1 {
+                let energy = self.linearize(&self.start).energy;
+                if best.is_none_or(|(least, _)| energy < least) {
+                    best = Some((energy, start));
+                }
+            }
+        }
+        if let Some((_, start)) = best {
+            self.begin(start);
+        }
+        self.run(control)
     }
 
     /// Takes another start with the same knots.
@@ -468,7 +479,8 @@ impl<'a> Refiner<'a> {
         Ok(guess.control_points().iter().map(|p| p.z + correction.at([p.x, p.y])).collect())
     }
 
-    fn run(&mut self, iterations: usize, control: &Control) -> Result<Refined, Error> {
+    fn run(&mut self, control: &Control) -> Result<Refined, Error> {
+        let iterations = self.iterations;
         let mut net = self.start.clone();
         let mut model = self.linearize(&net);
         let first_energy = model.energy;
@@ -557,15 +569,16 @@ impl<'a> Refiner<'a> {
         (0..map.size * map.size)
             .map(|pixel| {
                 let p = map.center(pixel);
+                if self.beside_contour(p) {
+                    return 0.0;
+                }
                 let distance = |sides: [usize; 2]| {
                     let pixels = sides.iter().filter_map(|&side| Some(self.map_sides[side].outside(p)?.1));
                     pixels.fold(f64::INFINITY, f64::min)
                 };
                 let (front, back) = (distance([0, 2]), distance([1, 3]));
                 let unclear = (front - back).abs() < CREASE_REACH || front.min(back).is_infinite();
-                if self.beside_contour(p) {
-                    0.0
-                } else if front.max(back) <= 0.5 {
+                if front.max(back) <= 0.5 {
                     BOTH
                 } else if unclear {
                     0.0
@@ -581,9 +594,7 @@ impl<'a> Refiner<'a> {
     fn facing_along(&self, stroke: &Polyline, front: &[bool]) -> Vec<f64> {
         let reach = SLIVER_END * self.targets.maps.visible.pixel();
         let at = |(&p, &front): (&[f64; 2], &bool)| {
-            let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
-            let turns = feet.map(|foot| foot.distance).any(|distance| distance < reach);
-            if turns {
+            if self.contours.iter().any(|contour| contour.line.passes(p, reach)) {
                 0.0
             } else if front {
                 1.0
@@ -597,15 +608,13 @@ impl<'a> Refiner<'a> {
     /// Whether a border stroke is so near that it is the outline as well as a contour here.
     fn along_border(&self, p: [f64; 2]) -> bool {
         let reach = ALONG_BORDER * self.targets.maps.visible.pixel();
-        let feet = self.strokes.iter().filter_map(|stroke| stroke.nearest(p, [0.0, f64::INFINITY]));
-        feet.map(|foot| foot.distance).any(|distance| distance < reach)
+        self.strokes.iter().any(|stroke| stroke.passes(p, reach))
     }
 
     /// Whether a contour stroke is so near that the surface may turn here.
     fn beside_contour(&self, p: [f64; 2]) -> bool {
         let reach = CREASE_REACH * self.targets.maps.visible.pixel();
-        let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
-        feet.map(|foot| foot.distance).any(|distance| distance < reach)
+        self.contours.iter().any(|contour| contour.line.passes(p, reach))
     }
 
     /// 1 or -1 where the sketch draws the front or the back alone, or, where it draws both, one of them is much nearer; else 0.
@@ -1545,7 +1554,8 @@ mod tests {
         }));
         let targets = targets(&scene);
         let start = start_of(&scene, 0.02);
-        let refiner = Refiner::new(&start, &targets, &RefineOptions::default()).unwrap();
+        let mut refiner = Refiner::new(start.knots(), &targets, &RefineOptions::default()).unwrap();
+        refiner.begin(&start);
         let net = refiner.start.clone();
         let model = refiner.linearize(&net);
         let h = 1e-6;
@@ -1621,6 +1631,30 @@ mod tests {
         };
         let [free, held, fixed] = [0.0, 100.0, 1e9].map(|closeness| moved(&with(1.0, closeness)));
         assert!(held < free && fixed < 0.1 * free, "{free} {held} {fixed}");
+    }
+
+    #[test]
+    fn another_guess_counts_as_much_as_the_maps() {
+        let scene = synthetic::scene(synthetic::dome());
+        let mut targets = targets(&scene);
+        let depth = |surface: &NurbsSurface| {
+            let [u, v] = surface.at_fraction(0.5, 0.5);
+            -surface.point(u, v).z
+        };
+        let truth = depth(&scene.truth);
+        targets.maps.visible.depth.iter_mut().for_each(|depth| *depth += 0.1);
+        targets.guess = Some(scene.truth.mapped(|p| p + Vector3::new(0.0, 0.0, 0.1)));
+        let between = depth(&run(&scene.truth, &targets).surface);
+        assert!((between - truth).abs() < 0.03, "{between} {truth}");
+        // Both are moved to a depth sample.
+        let [u, v] = scene.truth.at_fraction(0.5, 0.5);
+        let p = scene.truth.point(u, v);
+        targets.samples = vec![LayerSample { position: [p.x, p.y], occluded: false, depth: truth + 0.5 }];
+        let met = run(&scene.truth, &targets);
+        assert!((depth(&met.surface) - truth - 0.5).abs() < 0.02, "{}", depth(&met.surface) - truth);
+        targets.guess = Some(NurbsSurface::uniform(3, [10, 90], scene.truth.control_points().to_vec()).unwrap());
+        let other = refine(&scene.truth, &targets, &RefineOptions::default(), &Control::default());
+        assert!(matches!(other, Err(Error::Nurbs { .. })));
     }
 
     #[test]
