@@ -147,7 +147,7 @@ impl Found {
         let targets = truth.surface_targets()?;
         let started = Instant::now();
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [NET; 2])?;
-        let Refined { surface, report } = fit(&targets, &curves, vec![], options, &Control::default())?;
+        let Refined { surface, report } = fit(&targets, &curves, options, &Control::default())?;
         let refine_ms = started.elapsed().as_secs_f64() * 1e3;
         let samples = [&surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 100));
         let (distance, angle) = chamfer(&samples[0], &samples[1]);

@@ -76,7 +76,7 @@ fn exact_maps_give_the_surface() {
         let targets = truth.surface_targets().unwrap();
         let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [30, 30]).unwrap();
         let Refined { surface, report } =
-            fit(&targets, &curves, vec![], &RefineOptions::default(), &Control::default()).unwrap();
+            fit(&targets, &curves, &RefineOptions::default(), &Control::default()).unwrap();
         let [found, actual] = [&surface, &truth.surface].map(|surface| SurfaceSamples::new(surface, 100));
         let (distance, angle) = chamfer(&found, &actual);
         assert_eq!(report.folds, 0, "{split:?} {index}: {report:?}");

@@ -2,7 +2,7 @@
 
 use super::border::BorderCurves;
 use super::nurbs::NurbsSurface;
-use super::refine::{RefineOptions, Refined, refine, refine_best};
+use super::refine::{RefineOptions, Refined, Refiner};
 use super::targets::SurfaceTargets;
 use super::unfold::unfolded_net;
 use crate::control::Control;
@@ -25,29 +25,29 @@ pub fn unfolded_surface(
     NurbsSurface::new(curves.knots.clone(), net, None)
 }
 
-/// Surface that obeys `targets`: the unfolded maps, or that of `others` that begins with less energy, refined; where it folds over, once
-/// more from smoother unfolded maps, and the better of the two.
+/// Surface that obeys `targets`: the unfolded maps, or the targets' other guess if that begins with less energy, refined; where it folds
+/// over, once more from smoother unfolded maps, and the better of the two.
 ///
 /// - `curves`: the border in space, made of the targets' border, corners and maps.
-/// - `others`: further starts, cubic, on the knots of `curves`.
 ///
 /// # Errors
-/// As [`unfolded_net`] and [`refine_best`].
+/// As [`unfolded_net`] and [`super::refine_best`].
 pub fn fit(
     targets: &SurfaceTargets,
     curves: &BorderCurves,
-    others: Vec<NurbsSurface>,
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    let mut starts = vec![unfolded_surface(targets, curves, 1.0)?];
-    starts.extend(others);
-    let refined = refine_best(&starts, targets, options, control)?;
+    let (refiner, unfolded) =
+        rayon::join(|| Refiner::new(&curves.knots, targets, options), || unfolded_surface(targets, curves, 1.0));
+    let (mut refiner, mut starts) = (refiner?, vec![unfolded?]);
+    starts.extend(targets.guess.clone());
+    let refined = refiner.run_best(&starts, control)?;
     if refined.report.folds == 0 || options.iterations == 0 {
         return Ok(refined);
     }
     // Parameter lines that jam in the start seldom come apart; in a smoother one they run more evenly.
     let smoother = unfolded_surface(targets, curves, SMOOTHER)?;
-    let again = refine(&smoother, targets, options, control)?;
+    let again = refiner.run_best(&[smoother], control)?;
     Ok(if again.report.folds < refined.report.folds { again } else { refined })
 }

@@ -6,7 +6,7 @@ use super::knots::{Basis, KnotVector};
 use super::layer_map::{EXTRAPOLATED_RINGS, MapSample, MapSide};
 use super::nurbs::NurbsSurface;
 use super::silhouette::{self, Polyline};
-use super::targets::{LayerSample, SurfaceTargets};
+use super::targets::{Correction, LayerSample, SurfaceTargets};
 use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram};
 use crate::control::Control;
 use crate::error::Error;
@@ -109,6 +109,9 @@ const EVENNESS_WEIGHT: f64 = 3e-3;
 const EVENNESS_DEPTH_WEIGHT: f64 = 1e-5;
 /// Closeness to the start, mean squared displacement.
 const CLOSENESS_WEIGHT: f64 = 1e-4;
+/// Depth against another guess of the surface, at the same parameters, mean squared: as much as the maps' depth. Where the errors of two
+/// guesses have little to do with each other, the middle is better than both.
+const GUESS_WEIGHT: f64 = 1.0;
 /// Depth residuals r beyond this, s, count less and less, 2 s^2 (1 - (1 + r^2 / s^2)^(-1/2)): maps are wrong by whole layers at
 /// occlusions.
 const ROBUST_DEPTH: f64 = 0.7;
@@ -161,7 +164,7 @@ const CONVERGED: f64 = 2e-2;
 /// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, the side that faces the
 /// viewer where the sketch draws one side alone, distance of the
 /// border to its strokes and corners, distance of the silhouette to the contour strokes, depth samples on their lines of
-/// sight, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
+/// sight, the depth of another guess if there is one, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
 /// Steps are accepted only if the energy falls, and where folds remain the side that the sketch shows counts more and more:
 /// of all steps the last with the fewest folds is the result, so it is never worse than the start.
 ///
@@ -200,29 +203,14 @@ pub fn refine_best(
     options: &RefineOptions,
     control: &Control,
 ) -> Result<Refined, Error> {
-    let (first, others) =
-        starts.split_first().ok_or_else(|| Error::Degenerate { reason: "refinement has no start".into() })?;
-    let mut refiner = Refiner::new(first, targets, options)?;
-    if !others.is_empty() {
-        let mut best = (refiner.linearize(&refiner.start).energy, first);
-        for start in others {
-            if start.knots() != &refiner.knots || start.weights().is_some() {
-                return Err(Error::Nurbs { reason: "starts of one refinement differ in their knots".into() });
-            }
-            refiner.begin(start);
-            let energy = refiner.linearize(&refiner.start).energy;
-            if energy < best.0 {
-                best = (energy, start);
-            }
-        }
-        refiner.begin(best.1);
-    }
-    refiner.run(options.iterations, control)
+    let first = starts.first().ok_or_else(|| Error::Degenerate { reason: "refinement has no start".into() })?;
+    Refiner::new(first.knots(), targets, options)?.run_best(starts, control)
 }
 
 /// What stays the same through the iterations.
-struct Refiner<'a> {
+pub(super) struct Refiner<'a> {
     targets: &'a SurfaceTargets,
+    iterations: usize,
     knots: [KnotVector; 2],
     grid: TensorGrid,
     /// Trapezoid weights of the grid in u and v, each summing to 1.
@@ -243,6 +231,9 @@ struct Refiner<'a> {
     fairness: [Banded; 2],
     /// Evenness and closeness, for x and y, and for z.
     evenness: [[Banded; 2]; 2],
+    /// The other guess: z of its net, corrected to the depth samples.
+    guess: Option<Vec<f64>>,
+    guessed: [Banded; 2],
     /// Factor on evenness: high in the first steps, and where the parametrization would fold.
     stiffness: f64,
     /// Factor on the weight of facing: high where folds remain.
@@ -313,7 +304,12 @@ enum Association {
 }
 
 impl<'a> Refiner<'a> {
-    fn new(start: &NurbsSurface, targets: &'a SurfaceTargets, options: &RefineOptions) -> Result<Self, Error> {
+    /// All that does not depend on the start; [`Refiner::run_best`] follows.
+    pub(super) fn new(
+        knots: &[KnotVector; 2],
+        targets: &'a SurfaceTargets,
+        options: &RefineOptions,
+    ) -> Result<Self, Error> {
         for (name, value) in [("fairness", options.fairness), ("closeness", options.closeness)] {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(Error::Argument {
@@ -323,9 +319,9 @@ impl<'a> Refiner<'a> {
                 });
             }
         }
-        let knots = start.knots().clone();
-        if start.weights().is_some() || knots.iter().any(|k| k.degree() != 3) {
-            return Err(Error::Nurbs { reason: "refinement takes a cubic surface without weights".into() });
+        let knots = knots.clone();
+        if knots.iter().any(|k| k.degree() != 3) {
+            return Err(Error::Nurbs { reason: "refinement takes a cubic surface".into() });
         }
         let border = &targets.border;
         let sides: [Vec<usize>; 4] = [0, 1, 2, 3].map(|k| border.side(targets.corners, k));
@@ -362,6 +358,8 @@ impl<'a> Refiner<'a> {
         let closeness = CLOSENESS_WEIGHT * options.closeness;
         let evenness = [EVENNESS_WEIGHT, EVENNESS_DEPTH_WEIGHT]
             .map(|weight| [0, 1].map(|axis: usize| &slope[axis] * weight + &mass[axis] * (0.5 * closeness)));
+        let share = if targets.guess.is_some() { 0.5 * GUESS_WEIGHT } else { 0.0 };
+        let guessed = mass.each_ref().map(|mass| mass * share);
         // The preconditioner sees mean directions: in x and y borders act half, depth a fifth; in z depth acts mostly.
         let preconditioner = [(0.2, 0.5 * BORDER_WEIGHT, 0.2), (0.6, 0.1, 0.6)].map(|(depth, border, normal)| {
             let part = usize::from(border < 1.0);
@@ -373,7 +371,8 @@ impl<'a> Refiner<'a> {
                 matrix
             });
             let stiffness = [0, 1].map(|axis: usize| {
-                &fairness[axis] + &evenness[part][axis] + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
+                let level = &guessed[axis] * part as f64;
+                &fairness[axis] + &evenness[part][axis] + level + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
             });
             FastDiagonal::new([&stiffness[0], &stiffness[1]], [&bordered[0], &bordered[1]], depth)
                 .expect("mass matrices of B-splines are positive definite")
@@ -381,9 +380,12 @@ impl<'a> Refiner<'a> {
         let banded = |matrices: &[DMatrix<f64>; 2]| matrices.each_ref().map(|matrix| Banded::new(matrix, 3));
         let mut refiner = Self {
             targets,
+            iterations: options.iterations,
             shares: Default::default(),
             mass: banded(&mass),
             fairness: banded(&fairness),
+            guess: None,
+            guessed: banded(&guessed),
             stiffness: 1.0,
             facing: 1.0,
             regularity: Default::default(),
@@ -400,6 +402,7 @@ impl<'a> Refiner<'a> {
             contours: vec![],
             start: vec![],
         };
+        refiner.guess = targets.guess.as_ref().map(|guess| refiner.heights(guess)).transpose()?;
         refiner.stiffen(1.0);
         refiner.contours = targets
             .contours
@@ -419,8 +422,28 @@ impl<'a> Refiner<'a> {
             let front: Vec<bool> = sides[k].iter().map(|&i| border.front[i]).collect();
             refiner.facing_along(&refiner.strokes[k], &front)
         });
-        refiner.begin(start);
         Ok(refiner)
+    }
+
+    /// Refines the start with the least energy.
+    pub(super) fn run_best(&mut self, starts: &[NurbsSurface], control: &Control) -> Result<Refined, Error> {
+        if starts.iter().any(|start| start.knots() != &self.knots || start.weights().is_some()) {
+            return Err(Error::Nurbs { reason: "a start has weights, or other knots than the first".into() });
+        }
+        let mut best = None;
+        for start in starts {
+            self.begin(start);
+            if starts.len() > 1 {
+                let energy = self.linearize(&self.start).energy;
+                if best.is_none_or(|(least, _)| energy < least) {
+                    best = Some((energy, start));
+                }
+            }
+        }
+        if let Some((_, start)) = best {
+            self.begin(start);
+        }
+        self.run(control)
     }
 
     /// Takes another start with the same knots.
@@ -433,11 +456,31 @@ impl<'a> Refiner<'a> {
     fn stiffen(&mut self, stiffness: f64) {
         self.stiffness = stiffness;
         self.regularity = [0, 1].map(|part: usize| {
-            [0, 1].map(|axis: usize| self.fairness[axis].plus(&self.evenness[part][axis], stiffness))
+            [0, 1].map(|axis: usize| {
+                let smooth = self.fairness[axis].plus(&self.evenness[part][axis], stiffness);
+                smooth.plus(&self.guessed[axis], part as f64)
+            })
         });
     }
 
-    fn run(&mut self, iterations: usize, control: &Control) -> Result<Refined, Error> {
+    /// z of the net of another guess, moved smoothly to the depth samples that it shows.
+    fn heights(&self, guess: &NurbsSurface) -> Result<Vec<f64>, Error> {
+        if guess.knots() != &self.knots || guess.weights().is_some() {
+            return Err(Error::Nurbs {
+                reason: "another guess of the surface is on other knots than the start".into(),
+            });
+        }
+        let planes = self.planes(&planes_of(guess));
+        let known = self.targets.samples.iter().filter_map(|sample| {
+            let [u, v] = self.sight(guess, &planes, sample)?;
+            Some((sample.position, -sample.depth - guess.point(u, v).z))
+        });
+        let correction = Correction::new(&known.collect::<Vec<_>>());
+        Ok(guess.control_points().iter().map(|p| p.z + correction.at([p.x, p.y])).collect())
+    }
+
+    fn run(&mut self, control: &Control) -> Result<Refined, Error> {
+        let iterations = self.iterations;
         let mut net = self.start.clone();
         let mut model = self.linearize(&net);
         let first_energy = model.energy;
@@ -526,15 +569,16 @@ impl<'a> Refiner<'a> {
         (0..map.size * map.size)
             .map(|pixel| {
                 let p = map.center(pixel);
+                if self.beside_contour(p) {
+                    return 0.0;
+                }
                 let distance = |sides: [usize; 2]| {
                     let pixels = sides.iter().filter_map(|&side| Some(self.map_sides[side].outside(p)?.1));
                     pixels.fold(f64::INFINITY, f64::min)
                 };
                 let (front, back) = (distance([0, 2]), distance([1, 3]));
                 let unclear = (front - back).abs() < CREASE_REACH || front.min(back).is_infinite();
-                if self.beside_contour(p) {
-                    0.0
-                } else if front.max(back) <= 0.5 {
+                if front.max(back) <= 0.5 {
                     BOTH
                 } else if unclear {
                     0.0
@@ -550,9 +594,7 @@ impl<'a> Refiner<'a> {
     fn facing_along(&self, stroke: &Polyline, front: &[bool]) -> Vec<f64> {
         let reach = SLIVER_END * self.targets.maps.visible.pixel();
         let at = |(&p, &front): (&[f64; 2], &bool)| {
-            let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
-            let turns = feet.map(|foot| foot.distance).any(|distance| distance < reach);
-            if turns {
+            if self.contours.iter().any(|contour| contour.line.passes(p, reach)) {
                 0.0
             } else if front {
                 1.0
@@ -566,15 +608,13 @@ impl<'a> Refiner<'a> {
     /// Whether a border stroke is so near that it is the outline as well as a contour here.
     fn along_border(&self, p: [f64; 2]) -> bool {
         let reach = ALONG_BORDER * self.targets.maps.visible.pixel();
-        let feet = self.strokes.iter().filter_map(|stroke| stroke.nearest(p, [0.0, f64::INFINITY]));
-        feet.map(|foot| foot.distance).any(|distance| distance < reach)
+        self.strokes.iter().any(|stroke| stroke.passes(p, reach))
     }
 
     /// Whether a contour stroke is so near that the surface may turn here.
     fn beside_contour(&self, p: [f64; 2]) -> bool {
         let reach = CREASE_REACH * self.targets.maps.visible.pixel();
-        let feet = self.contours.iter().filter_map(|contour| contour.line.nearest(p, [0.0, f64::INFINITY]));
-        feet.map(|foot| foot.distance).any(|distance| distance < reach)
+        self.contours.iter().any(|contour| contour.line.passes(p, reach))
     }
 
     /// 1 or -1 where the sketch draws the front or the back alone, or, where it draws both, one of them is much nearer; else 0.
@@ -763,6 +803,15 @@ impl<'a> Refiner<'a> {
             product.iter_mut().for_each(|x| *x *= self.stiffness);
             energy += dot(&difference, &product);
             add(&mut gradient[c * n..(c + 1) * n], &product);
+        }
+        if let Some(guess) = &self.guess {
+            for (d, (now, guess)) in difference.iter_mut().zip(net[2 * n..].iter().zip(guess)) {
+                *d = now - guess;
+            }
+            product.fill(0.0);
+            self.add_tensor(&self.guessed, &difference, &mut product, &mut scratch);
+            energy += dot(&difference, &product);
+            add(&mut gradient[2 * n..], &product);
         }
         model.energy = if energy.is_nan() { f64::INFINITY } else { energy };
         model.gradient = gradient;
@@ -1326,6 +1375,7 @@ mod tests {
             contours: scene.contours.clone(),
             samples: vec![],
             maps: scene.maps.clone(),
+            guess: None,
         }
     }
 
@@ -1504,7 +1554,8 @@ mod tests {
         }));
         let targets = targets(&scene);
         let start = start_of(&scene, 0.02);
-        let refiner = Refiner::new(&start, &targets, &RefineOptions::default()).unwrap();
+        let mut refiner = Refiner::new(start.knots(), &targets, &RefineOptions::default()).unwrap();
+        refiner.begin(&start);
         let net = refiner.start.clone();
         let model = refiner.linearize(&net);
         let h = 1e-6;
@@ -1580,6 +1631,30 @@ mod tests {
         };
         let [free, held, fixed] = [0.0, 100.0, 1e9].map(|closeness| moved(&with(1.0, closeness)));
         assert!(held < free && fixed < 0.1 * free, "{free} {held} {fixed}");
+    }
+
+    #[test]
+    fn another_guess_counts_as_much_as_the_maps() {
+        let scene = synthetic::scene(synthetic::dome());
+        let mut targets = targets(&scene);
+        let depth = |surface: &NurbsSurface| {
+            let [u, v] = surface.at_fraction(0.5, 0.5);
+            -surface.point(u, v).z
+        };
+        let truth = depth(&scene.truth);
+        targets.maps.visible.depth.iter_mut().for_each(|depth| *depth += 0.1);
+        targets.guess = Some(scene.truth.mapped(|p| p + Vector3::new(0.0, 0.0, 0.1)));
+        let between = depth(&run(&scene.truth, &targets).surface);
+        assert!((between - truth).abs() < 0.03, "{between} {truth}");
+        // Both are moved to a depth sample.
+        let [u, v] = scene.truth.at_fraction(0.5, 0.5);
+        let p = scene.truth.point(u, v);
+        targets.samples = vec![LayerSample { position: [p.x, p.y], occluded: false, depth: truth + 0.5 }];
+        let met = run(&scene.truth, &targets);
+        assert!((depth(&met.surface) - truth - 0.5).abs() < 0.02, "{}", depth(&met.surface) - truth);
+        targets.guess = Some(NurbsSurface::uniform(3, [10, 90], scene.truth.control_points().to_vec()).unwrap());
+        let other = refine(&scene.truth, &targets, &RefineOptions::default(), &Control::default());
+        assert!(matches!(other, Err(Error::Nurbs { .. })));
     }
 
     #[test]

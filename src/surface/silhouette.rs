@@ -174,6 +174,22 @@ impl Polyline {
         [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
     }
 
+    /// Whether the polyline comes nearer to `p` than `reach`.
+    pub fn passes(&self, p: [f64; 2], reach: f64) -> bool {
+        let within = |run: usize| {
+            let ends = self.points[run * RUN..].windows(2).take(RUN);
+            ends.into_iter().any(|ends| nearest_on_segment(p, ends[0], ends[1]).1 < reach)
+        };
+        (0..self.boxes.len()).any(|run| self.box_distance_squared(run, p) < reach * reach && within(run))
+    }
+
+    /// Squared distance of `p` from the box of a run: none of its points is nearer.
+    fn box_distance_squared(&self, run: usize, p: [f64; 2]) -> f64 {
+        let [low, high] = self.boxes[run];
+        let apart = |c: usize| (low[c] - p[c]).max(p[c] - high[c]).max(0.0);
+        apart(0).powi(2) + apart(1).powi(2)
+    }
+
     /// The nearest point among those with arc length in `window`; `None` for fewer than two vertices.
     pub fn nearest(&self, p: [f64; 2], window: [f64; 2]) -> Option<PolylineFoot> {
         let segments = self.points.len().checked_sub(1).filter(|&s| s > 0)?;
@@ -193,11 +209,7 @@ impl Polyline {
             }
         };
         let runs = first / RUN..(last - 1) / RUN + 1;
-        let least = |run: usize| {
-            let [low, high] = self.boxes[run];
-            let apart = |c: usize| (low[c] - p[c]).max(p[c] - high[c]).max(0.0);
-            apart(0).powi(2) + apart(1).powi(2)
-        };
+        let least = |run: usize| self.box_distance_squared(run, p);
         // The run that may be nearest tells of most others that they are not.
         let likely = runs.clone().min_by(|&a, &b| least(a).total_cmp(&least(b)))?;
         look_at(likely, &mut best);
@@ -238,6 +250,8 @@ mod tests {
             let line = Polyline::new(points.collect::<Vec<_>>());
             for _ in 0..50 {
                 let p = place(8.0);
+                let whole = line.nearest(p, [0.0, f64::INFINITY]).unwrap().distance;
+                assert!(line.passes(p, whole * 1.001 + 1e-9) && !line.passes(p, whole * 0.999));
                 let [low, high] = [0, 1].map(|_| place(1.0)[0] + 0.5).map(|share| share * line.length());
                 let window = [low.min(high), low.max(high)];
                 for window in [[0.0, f64::INFINITY], window] {

@@ -3,9 +3,10 @@
 use super::border::LayerMaps;
 use super::corners::BorderLoop;
 use super::layer_map::LayerMap;
+use super::nurbs::NurbsSurface;
 use crate::error::Error;
 use crate::sketch::{Layer, PatchSketch, StrokeKind};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// A known depth on one layer, canonical frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,6 +32,9 @@ pub struct SurfaceTargets {
     pub samples: Vec<LayerSample>,
     /// Depth and normals of both layers.
     pub maps: LayerMaps,
+    /// Another guess of the whole surface, where there is one: on the knots of the start, its border by the same parameters. Its depth
+    /// counts beside the maps'.
+    pub guess: Option<NurbsSurface>,
 }
 
 impl SurfaceTargets {
@@ -53,7 +57,7 @@ impl SurfaceTargets {
             occluded: s.layer == Layer::Occluded,
             depth: s.depth,
         });
-        Ok(Self { border, corners, contours, samples: samples.collect(), maps })
+        Ok(Self { border, corners, contours, samples: samples.collect(), maps, guess: None })
     }
 }
 
@@ -61,8 +65,7 @@ impl SurfaceTargets {
 const CORRECTION_RANGE: f64 = 2.0;
 
 impl LayerMaps {
-    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
-    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
+    /// The maps with their depth corrected to meet `samples`, smoothly, see [`Correction`].
     ///
     /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
     pub fn meeting(&self, samples: &[LayerSample]) -> Self {
@@ -84,26 +87,41 @@ impl LayerMaps {
                 })
                 .collect();
             let mut result = map.clone();
-            if known.is_empty() {
-                return result;
-            }
-            let kernel = |p: [f64; 2], q: [f64; 2]| {
-                let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
-                (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
-            };
-            let n = known.len();
-            let matrix =
-                DMatrix::from_fn(n, n, |i, j| kernel(known[i].0, known[j].0) + if i == j { 1e-4 } else { 0.0 });
-            let right = nalgebra::DVector::from_iterator(n, known.iter().map(|k| k.1));
-            if let Some(factor) = matrix.cholesky() {
-                let weights = factor.solve(&right);
-                for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
-                    let p = map.center(k);
-                    result.depth[k] += (0..n).map(|i| weights[i] * kernel(p, known[i].0)).sum::<f64>();
-                }
+            let correction = Correction::new(&known);
+            for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
+                result.depth[k] += correction.at(map.center(k));
             }
             result
         };
         Self { visible: correct(&self.visible, false), occluded: correct(&self.occluded, true) }
     }
+}
+
+/// Differences at a few places of the canvas, interpolated smoothly: by exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
+pub(super) struct Correction {
+    places: Vec<[f64; 2]>,
+    weights: Vec<f64>,
+}
+
+impl Correction {
+    /// - `known`: places (x, y) and what is to be added there.
+    pub(super) fn new(known: &[([f64; 2], f64)]) -> Self {
+        let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
+        let n = known.len();
+        let noise = |i: usize, j: usize| if i == j { 1e-4 } else { 0.0 };
+        let matrix = DMatrix::from_fn(n, n, |i, j| kernel(places[i], places[j]) + noise(i, j));
+        let right = DVector::from_iterator(n, known.iter().map(|k| k.1));
+        let factor = matrix.cholesky().expect("a Gaussian kernel with noise is positive definite");
+        Self { places, weights: factor.solve(&right).iter().copied().collect() }
+    }
+
+    /// What is to be added at `p`.
+    pub(super) fn at(&self, p: [f64; 2]) -> f64 {
+        self.places.iter().zip(&self.weights).map(|(q, weight)| weight * kernel(p, *q)).sum()
+    }
+}
+
+fn kernel(p: [f64; 2], q: [f64; 2]) -> f64 {
+    let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
+    (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
 }
