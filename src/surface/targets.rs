@@ -5,7 +5,7 @@ use super::corners::BorderLoop;
 use super::layer_map::LayerMap;
 use super::nurbs::NurbsSurface;
 use crate::error::Error;
-use crate::sketch::{Layer, PatchSketch, StrokeKind};
+use crate::sketch::{Layer, PatchSketch, StrokeKind, offset_covariance, spread_out};
 use nalgebra::{DMatrix, DVector};
 
 /// A known depth on one layer, canonical frame.
@@ -61,9 +61,6 @@ impl SurfaceTargets {
     }
 }
 
-/// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
-const CORRECTION_RANGE: f64 = 2.0;
-
 impl LayerMaps {
     /// The maps with their depth corrected to meet `samples`, smoothly, see [`Correction`].
     ///
@@ -97,7 +94,8 @@ impl LayerMaps {
     }
 }
 
-/// Differences at a few places of the canvas, interpolated smoothly: by exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
+/// Differences at a few places of the canvas, interpolated with the prior of the depth offset, see [`offset_covariance`], and a noise of
+/// 0.01: two places on either side of a step change little but what is near them. Of more than 200 places 200 that lie far apart count.
 pub(super) struct Correction {
     places: Vec<[f64; 2]>,
     weights: Vec<f64>,
@@ -106,22 +104,18 @@ pub(super) struct Correction {
 impl Correction {
     /// - `known`: places (x, y) and what is to be added there.
     pub(super) fn new(known: &[([f64; 2], f64)]) -> Self {
+        let known = spread_out(known);
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
         let n = known.len();
         let noise = |i: usize, j: usize| if i == j { 1e-4 } else { 0.0 };
-        let matrix = DMatrix::from_fn(n, n, |i, j| kernel(places[i], places[j]) + noise(i, j));
+        let matrix = DMatrix::from_fn(n, n, |i, j| offset_covariance(places[i], places[j]) + noise(i, j));
         let right = DVector::from_iterator(n, known.iter().map(|k| k.1));
-        let factor = matrix.cholesky().expect("a Gaussian kernel with noise is positive definite");
+        let factor = matrix.cholesky().expect("a covariance with noise is positive definite");
         Self { places, weights: factor.solve(&right).iter().copied().collect() }
     }
 
     /// What is to be added at `p`.
     pub(super) fn at(&self, p: [f64; 2]) -> f64 {
-        self.places.iter().zip(&self.weights).map(|(q, weight)| weight * kernel(p, *q)).sum()
+        self.places.iter().zip(&self.weights).map(|(q, weight)| weight * offset_covariance(p, *q)).sum()
     }
-}
-
-fn kernel(p: [f64; 2], q: [f64; 2]) -> f64 {
-    let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
-    (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
 }
