@@ -70,7 +70,8 @@ fn seeds_with_trouble_stay_near_their_strokes() {
 /// its underside, because the border there was lifted to what lies behind.
 #[test]
 fn exact_maps_give_the_surface() {
-    let surfaces = [4, 20, 23, 43, 46, 62, 102, 103, 129, 143, 163].map(|index| (Split::Surfaces, index));
+    let surfaces =
+        [4, 20, 23, 43, 46, 62, 102, 103, 129, 143, 163, 388, 399, 551, 679, 778].map(|index| (Split::Surfaces, index));
     for (split, index) in surfaces.into_iter().chain([(Split::Rotations, 24)]) {
         let truth = split.sample(index, &Options::default()).unwrap();
         let targets = truth.surface_targets().unwrap();
