@@ -70,7 +70,8 @@ fn seeds_with_trouble_stay_near_their_strokes() {
 /// its underside, because the border there was lifted to what lies behind.
 #[test]
 fn exact_maps_give_the_surface() {
-    let surfaces = [4, 20, 23, 43, 46, 62, 102, 103, 129, 143, 163].map(|index| (Split::Surfaces, index));
+    let surfaces =
+        [4, 20, 23, 43, 46, 62, 102, 103, 129, 143, 163, 388, 399, 551, 679, 778].map(|index| (Split::Surfaces, index));
     for (split, index) in surfaces.into_iter().chain([(Split::Rotations, 24)]) {
         let truth = split.sample(index, &Options::default()).unwrap();
         let targets = truth.surface_targets().unwrap();
@@ -87,7 +88,7 @@ fn exact_maps_give_the_surface() {
 }
 
 #[test]
-fn moving_one_depth_sample_leaves_the_others_met() {
+fn moving_one_of_many_depth_samples_leaves_the_others_met_and_moves_little_far_away() {
     let mut session = session();
     let sketch = sample(9_000_009, &Options::default()).unwrap().sketch;
     assert!(sketch.depth_samples.len() > 3);
@@ -105,14 +106,24 @@ fn moving_one_depth_sample_leaves_the_others_met() {
         result.patches[0].surface.mapped(|p| view.world_to_camera(p))
     };
     let (base, little, more) = (at(0.0), at(0.0005), at(0.02));
+    let sample = view.canvas_to_camera(sketch.depth_samples[0].position);
+    // Distance on the canvas from the sample, and of the surfaces; both over the drawing's size.
     let apart = |other: &NurbsSurface| {
         let projector = SurfaceProjector::new(&base);
-        let places = (0..21 * 21).map(|k| other.at_fraction((k / 21) as f64 / 20.0, (k % 21) as f64 / 20.0));
-        places.map(|[u, v]| projector.closest(&other.point(u, v)).distance).fold(0.0, f64::max) / size
+        let points = (0..21 * 21).map(|k| other.at_fraction((k / 21) as f64 / 20.0, (k % 21) as f64 / 20.0));
+        let at = |p: Point3<f64>| [(p.x - sample[0]).hypot(p.y - sample[1]), projector.closest(&p).distance];
+        points.map(|[u, v]| at(other.point(u, v)).map(|d| d / size)).collect::<Vec<_>>()
     };
+    let (little, more) = (apart(&little), apart(&more));
     // A fortieth of the move is little of the change, and nothing moves much farther than the sample.
-    let [small, large] = [apart(&little), apart(&more)];
+    let [small, large] = [&little, &more].map(|all| all.iter().map(|[_, change]| *change).fold(0.0, f64::max));
     assert!(small < 0.002 && large > 0.005 && large < 0.06, "{small} {large}");
+    let mean = |low: f64, high: f64| {
+        let changes: Vec<f64> = more.iter().filter(|[far, _]| (low..high).contains(far)).map(|[_, d]| *d).collect();
+        changes.iter().sum::<f64>() / changes.len() as f64
+    };
+    let [near, far] = [mean(0.0, 0.125), mean(0.5, f64::INFINITY)];
+    assert!(near > 0.01 && far < 0.2 * near, "{near} {far}");
 }
 
 #[test]

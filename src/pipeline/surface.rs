@@ -122,6 +122,11 @@ fn surface_value(surface: &NurbsSurface) -> Value {
 /// samples the lowest point of each patch has z = 0 (seen from within three degrees of the horizon, where sliding along
 /// the view moves nothing up or down: its mean depth is 0); with depth samples the patch passes through them.
 ///
+/// The samples are met, and each moves the surface smoothly, but not only there, since the networks read them too. A single one says where
+/// the patch lies, and takes all of it along. Of two and more, one that moves by a twenty-fifth of the drawing's size changes the surface
+/// beyond half that size by a third of what it does around itself if there are two, by a seventh of it if there are more (means of 18
+/// held-out sketches). A very small move may change it by up to a hundredth of the size, where the refinement ends a step earlier or later.
+///
 /// # Errors
 /// As [`understand`]; [`Error::Argument`] for corners of a sketch with several outlines, or not finite;
 /// [`Error::Degenerate`] for an outline that spans no patch; [`Error::Backend`] and [`Error::Model`] from the networks;
