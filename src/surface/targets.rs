@@ -62,7 +62,8 @@ impl SurfaceTargets {
 }
 
 impl LayerMaps {
-    /// The maps with their depth corrected to meet `samples`, smoothly, see [`Correction`].
+    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
+    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
     ///
     /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
     pub fn meeting(&self, samples: &[LayerSample]) -> Self {
