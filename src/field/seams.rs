@@ -72,8 +72,8 @@ pub(crate) struct Seams {
 }
 
 impl Seams {
-    /// Cuts and combs `field`; opposite singularities closer than `pair`, or on one edge, cancel unless `pair` is 0, and those closer than `rim` to a border that the field does not
-    /// follow leave over it.
+    /// Cuts and combs `field`; opposite singularities closer than `pair`, or on one edge, cancel unless `pair` is 0, and those closer than `rim`
+    /// to a border that the field does not follow leave over it.
     pub fn new(field: &ConjugateField, pair: f64, rim: f64) -> Self {
         let triangles = &field.mesh.triangles;
         let count = triangles.len();

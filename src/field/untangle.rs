@@ -1,5 +1,8 @@
 //! Turning back triangles that rounding the integers turned over.
 
+// Corners, coordinates and entries are numbers that index several arrays at once.
+#![allow(clippy::needless_range_loop)]
+
 use super::conjugate_field::ConjugateField;
 use super::map_elements::Element;
 use super::map_system::System;
@@ -55,8 +58,8 @@ impl Tangle<'_> {
     /// [`Error::Singular`], [`Error::Cancelled`].
     ///
     /// # Source
-    /// Garanzha et al. 2021, Foldover-free maps in 50 lines of code: their energy, with their Hessian of the part that is convex in J and
-    /// det together.
+    /// Garanzha et al. 2021, Foldover-free maps in 50 lines of code: their energy, with their Hessian without the part that bends
+    /// chi. Their reach follows the smallest determinant; ours shrinks as Newton converges.
     pub fn untangle(&self, solution: &mut [f64], control: &Control) -> Result<Vec<usize>, Error> {
         let mut turned = self.turned(solution);
         for rings in RINGS {
@@ -65,7 +68,7 @@ impl Tangle<'_> {
             }
             control.check()?;
             let mut trial = solution.to_vec();
-            Region::new(self, &turned, rings, &trial)?.minimize(&mut trial)?;
+            Region::new(self, &turned, rings)?.minimize(&mut trial)?;
             let left = self.turned(&trial);
             if left.len() < turned.len() {
                 solution.copy_from_slice(&trial);
@@ -125,7 +128,7 @@ struct Region<'a> {
 
 impl<'a> Region<'a> {
     /// The unknowns of vertices fewer than `rings` edges from the triangles `around`.
-    fn new(tangle: &'a Tangle, around: &[usize], rings: usize, solution: &[f64]) -> Result<Self, Error> {
+    fn new(tangle: &'a Tangle, around: &[usize], rings: usize) -> Result<Self, Error> {
         let corners = &tangle.field.mesh.triangles;
         let mut moves = vec![false; tangle.field.mesh.points.len()];
         let mut inside = vec![false; corners.len()];
@@ -163,7 +166,6 @@ impl<'a> Region<'a> {
                 }
             }));
         }
-        debug_assert!(unknowns.iter().all(|&x| solution[x as usize].is_finite()));
         let (matrix, slots) = pattern(unknowns.len(), &coordinates);
         let symbolic = SymbolicCholesky::new(&matrix)?;
         Ok(Self { tangle, triangles, unknowns, coordinates, matrix, slots, symbolic })
