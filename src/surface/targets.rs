@@ -62,8 +62,8 @@ impl SurfaceTargets {
 }
 
 impl LayerMaps {
-    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
-    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
+    /// The maps with their depth corrected to meet `samples` within about a hundredth, with the prior of the depth offset as a Gaussian
+    /// process, see [`sample_base`](crate::sketch::sample_base).
     ///
     /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
     pub fn meeting(&self, samples: &[LayerSample]) -> Self {
@@ -85,7 +85,7 @@ impl LayerMaps {
                 })
                 .collect();
             let mut result = map.clone();
-            let correction = Correction::new(&known);
+            let correction = Correction::new(&known, MET);
             for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
                 result.depth[k] += correction.at(map.center(k));
             }
@@ -95,8 +95,11 @@ impl LayerMaps {
     }
 }
 
-/// Differences at a few places of the canvas, interpolated with the prior of the depth offset, see [`offset_covariance`], and a noise of
-/// 0.01: two places on either side of a step change little but what is near them. Of more than 200 places 200 that lie far apart count.
+/// Deviation of a difference that is to be met.
+const MET: f64 = 0.01;
+
+/// Differences at a few places of the canvas, interpolated with the prior of the depth offset, see [`offset_covariance`]. Of more than 200
+/// places 200 that lie far apart count.
 pub(super) struct Correction {
     places: Vec<[f64; 2]>,
     weights: Vec<f64>,
@@ -104,11 +107,12 @@ pub(super) struct Correction {
 
 impl Correction {
     /// - `known`: places (x, y) and what is to be added there.
-    pub(super) fn new(known: &[([f64; 2], f64)]) -> Self {
+    /// - `deviation`: standard deviation of what is to be added.
+    pub(super) fn new(known: &[([f64; 2], f64)], deviation: f64) -> Self {
         let known = spread_out(known);
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
         let n = known.len();
-        let noise = |i: usize, j: usize| if i == j { 1e-4 } else { 0.0 };
+        let noise = |i: usize, j: usize| if i == j { deviation * deviation } else { 0.0 };
         let matrix = DMatrix::from_fn(n, n, |i, j| offset_covariance(places[i], places[j]) + noise(i, j));
         let right = DVector::from_iterator(n, known.iter().map(|k| k.1));
         let factor = matrix.cholesky().expect("a covariance with noise is positive definite");

@@ -76,6 +76,9 @@ const CLOSENESS_WEIGHT: f64 = 1e-4;
 /// Depth against another guess of the surface, at the same parameters, mean squared: as much as the maps' depth. Where the errors of two
 /// guesses have little to do with each other, the middle is better than both.
 const GUESS_WEIGHT: f64 = 1.0;
+/// Standard deviation of what differs between another guess and a depth sample: what one sample says of the guess elsewhere. The sample
+/// itself is met by its own term; taken at its word, two samples on either side of a step would tilt the whole guess.
+const GUESS_DEVIATION: f64 = 0.3;
 /// Factor on the evenness in the first step; each later step divides it by 8.
 const FIRST_STIFFNESS: f64 = 64.0;
 /// Gauss-Newton steps beyond the host's number that are taken where folds remain.
@@ -352,7 +355,7 @@ impl<'a> Refiner<'a> {
             let [u, v] = self.sight(guess, &planes, sample)?;
             Some((sample.position, -sample.depth - guess.point(u, v).z))
         });
-        let correction = Correction::new(&known.collect::<Vec<_>>());
+        let correction = Correction::new(&known.collect::<Vec<_>>(), GUESS_DEVIATION);
         Ok(guess.control_points().iter().map(|p| p.z + correction.at([p.x, p.y])).collect())
     }
 
