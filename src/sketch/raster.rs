@@ -344,10 +344,11 @@ pub fn offset_covariance(p: Point, q: Point) -> f64 {
 
 /// Gaussian-process regression of the depth offset h through samples (canonical x, y; h).
 ///
-/// Prior: h = constant + slope + smooth part + ripples, kernel 1.0^2 + 0.35^2 p.q + 0.8^2 exp(-|p - q|^2 / 8)
-/// + 0.4^2 (1 + r) exp(-r) with r = sqrt(3) |p - q| / 0.6; noise 0.02. Ripples let a map be rough, or step at a contour: on
-/// generated surfaces the depth elsewhere is then as likely as the deviation says, where without them a hundredth of the
-/// sketches with six samples were off by three units. Of more than 200 samples the 200 that lie farthest apart are used.
+/// Prior: h = constant + slope + smooth part + ripples, that is the kernel
+/// `1.0^2 + 0.35^2 p.q + 0.8^2 exp(-|p - q|^2 / 8) + 0.4^2 (1 + r) exp(-r)` with `r = sqrt(3) |p - q| / 0.6`; noise 0.02.
+/// Ripples let a map be rough, or step at a contour: on generated surfaces the depth elsewhere is then as likely as the
+/// deviation says, where without them a hundredth of the sketches with six samples were off by three units. Of more than
+/// 200 samples the 200 that lie farthest apart are used.
 pub fn sample_base(points: &[([f64; 2], f64)]) -> SampleBase {
     let points = spread_out(points);
     let n = points.len();
