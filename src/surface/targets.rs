@@ -99,14 +99,14 @@ impl LayerMaps {
 }
 
 /// Differences at a few places of the canvas, interpolated smoothly: by exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
-pub(super) struct Correction {
+struct Correction {
     places: Vec<[f64; 2]>,
     weights: Vec<f64>,
 }
 
 impl Correction {
     /// - `known`: places (x, y) and what is to be added there.
-    pub(super) fn new(known: &[([f64; 2], f64)]) -> Self {
+    fn new(known: &[([f64; 2], f64)]) -> Self {
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
         let n = known.len();
         let noise = |i: usize, j: usize| if i == j { 1e-4 } else { 0.0 };
@@ -117,7 +117,7 @@ impl Correction {
     }
 
     /// What is to be added at `p`.
-    pub(super) fn at(&self, p: [f64; 2]) -> f64 {
+    fn at(&self, p: [f64; 2]) -> f64 {
         self.places.iter().zip(&self.weights).map(|(q, weight)| weight * kernel(p, *q)).sum()
     }
 }
