@@ -85,7 +85,7 @@ impl LayerMaps {
                 })
                 .collect();
             let mut result = map.clone();
-            let correction = Correction::new(&known, MET);
+            let correction = Correction::new(&known);
             for k in (0..map.depth.len()).filter(|&k| map.valid[k]) {
                 result.depth[k] += correction.at(map.center(k));
             }
@@ -95,24 +95,23 @@ impl LayerMaps {
     }
 }
 
-/// Deviation of a difference that is to be met.
+/// Standard deviation of a difference that is to be met.
 const MET: f64 = 0.01;
 
 /// Differences at a few places of the canvas, interpolated with the prior of the depth offset, see [`offset_covariance`]. Of more than 200
 /// places 200 that lie far apart count.
-pub(super) struct Correction {
+struct Correction {
     places: Vec<[f64; 2]>,
     weights: Vec<f64>,
 }
 
 impl Correction {
     /// - `known`: places (x, y) and what is to be added there.
-    /// - `deviation`: standard deviation of what is to be added.
-    pub(super) fn new(known: &[([f64; 2], f64)], deviation: f64) -> Self {
+    fn new(known: &[([f64; 2], f64)]) -> Self {
         let known = spread_out(known);
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
         let n = known.len();
-        let noise = |i: usize, j: usize| if i == j { deviation * deviation } else { 0.0 };
+        let noise = |i: usize, j: usize| if i == j { MET * MET } else { 0.0 };
         let matrix = DMatrix::from_fn(n, n, |i, j| offset_covariance(places[i], places[j]) + noise(i, j));
         let right = DVector::from_iterator(n, known.iter().map(|k| k.1));
         let factor = matrix.cholesky().expect("a covariance with noise is positive definite");
@@ -120,7 +119,7 @@ impl Correction {
     }
 
     /// What is to be added at `p`.
-    pub(super) fn at(&self, p: [f64; 2]) -> f64 {
+    fn at(&self, p: [f64; 2]) -> f64 {
         self.places.iter().zip(&self.weights).map(|(q, weight)| weight * offset_covariance(p, *q)).sum()
     }
 }

@@ -17,7 +17,7 @@ use super::knots::KnotVector;
 use super::layer_map::MapSide;
 use super::nurbs::NurbsSurface;
 use super::silhouette::Polyline;
-use super::targets::{Correction, SurfaceTargets};
+use super::targets::SurfaceTargets;
 use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram};
 use crate::control::Control;
 use crate::error::Error;
@@ -76,9 +76,6 @@ const CLOSENESS_WEIGHT: f64 = 1e-4;
 /// Depth against another guess of the surface, at the same parameters, mean squared: as much as the maps' depth. Where the errors of two
 /// guesses have little to do with each other, the middle is better than both.
 const GUESS_WEIGHT: f64 = 1.0;
-/// Standard deviation of what differs between another guess and a depth sample: what one sample says of the guess elsewhere. The sample
-/// itself is met by its own term; taken at its word, two samples on either side of a step would tilt the whole guess.
-const GUESS_DEVIATION: f64 = 0.3;
 /// Factor on the evenness in the first step; each later step divides it by 8.
 const FIRST_STIFFNESS: f64 = 64.0;
 /// Gauss-Newton steps beyond the host's number that are taken where folds remain.
@@ -162,7 +159,7 @@ pub(super) struct Refiner<'a> {
     fairness: [Banded; 2],
     /// Evenness and closeness, for x and y, and for z.
     evenness: [[Banded; 2]; 2],
-    /// The other guess: z of its net, corrected to the depth samples.
+    /// The other guess: z of its net.
     guess: Option<Vec<f64>>,
     guessed: [Banded; 2],
     /// Factor on evenness: high in the first steps, and where the parametrization would fold.
@@ -343,20 +340,16 @@ impl<'a> Refiner<'a> {
         });
     }
 
-    /// z of the net of another guess, moved smoothly to the depth samples that it shows.
+    /// z of the net of another guess.
+    ///
+    /// Not moved to the depth samples: where two of them lie close together an interpolation of their differences swings out far.
     fn heights(&self, guess: &NurbsSurface) -> Result<Vec<f64>, Error> {
         if guess.knots() != &self.knots || guess.weights().is_some() {
             return Err(Error::Nurbs {
                 reason: "another guess of the surface is on other knots than the start".into(),
             });
         }
-        let planes = self.planes(&planes_of(guess));
-        let known = self.targets.samples.iter().filter_map(|sample| {
-            let [u, v] = self.sight(guess, &planes, sample)?;
-            Some((sample.position, -sample.depth - guess.point(u, v).z))
-        });
-        let correction = Correction::new(&known.collect::<Vec<_>>(), GUESS_DEVIATION);
-        Ok(guess.control_points().iter().map(|p| p.z + correction.at([p.x, p.y])).collect())
+        Ok(guess.control_points().iter().map(|p| p.z).collect())
     }
 
     fn run(&mut self, control: &Control) -> Result<Refined, Error> {
