@@ -72,7 +72,7 @@ def export(name, weights, target, validation):
     torch.onnx.export(network, (example,), buffer, input_names=["x"], output_names=["y"], opset_version=17, dynamo=False)
     model = store_fp16(onnx.load_from_string(buffer.getvalue()))
     onnx.checker.check_model(model)
-    lost = set(network.state_dict()) - {tensor.name.removesuffix("_fp16") for tensor in model.graph.initializer}
+    lost = {key for key, _ in network.named_parameters()} - {tensor.name.removesuffix("_fp16") for tensor in model.graph.initializer}
     if lost:
         raise SystemExit(f"{name}: training could not go on from the file, it lacks {sorted(lost)}")
     # One thread: those of ONNX Runtime spin while they wait, which starves a training run beside it.

@@ -68,10 +68,10 @@ def initial_weights(path, name):
 
 
 def exported(path, name):
-    """The network as inference runs it, with the `stored_weights`, all of them."""
+    """The network as inference runs it, with the `stored_weights`: every parameter must be there."""
     network = nets.make_symmetric(name).eval()
     stored = stored_weights(path, name)
-    network.load_state_dict({key: stored[key] for key in network.state_dict()})
+    network.load_state_dict({**network.state_dict(), **{key: stored[key] for key, _ in network.named_parameters()}})
     return network
 
 
