@@ -5,7 +5,7 @@ use super::corners::BorderLoop;
 use super::layer_map::LayerMap;
 use super::nurbs::NurbsSurface;
 use crate::error::Error;
-use crate::sketch::{Layer, PatchSketch, StrokeKind, offset_covariance, spread_out};
+use crate::sketch::{Layer, PatchSketch, StrokeKind, spread_out};
 use nalgebra::{DMatrix, DVector};
 
 /// A known depth on one layer, canonical frame.
@@ -61,9 +61,12 @@ impl SurfaceTargets {
     }
 }
 
+/// Range of the correction that makes the maps meet the depth samples, canonical units (the networks' prior has the same).
+const CORRECTION_RANGE: f64 = 2.0;
+
 impl LayerMaps {
-    /// The maps with their depth corrected to meet `samples` within about a hundredth, with the prior of the depth offset as a Gaussian
-    /// process, see [`sample_base`](crate::sketch::sample_base).
+    /// The maps with their depth corrected to meet `samples`, smoothly: the differences at the samples are interpolated by
+    /// exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process.
     ///
     /// Samples outside their layer's mask count where the extrapolated map still reaches, else not.
     pub fn meeting(&self, samples: &[LayerSample]) -> Self {
@@ -95,11 +98,8 @@ impl LayerMaps {
     }
 }
 
-/// Standard deviation of a difference that is to be met.
-const MET: f64 = 0.01;
-
-/// Differences at a few places of the canvas, interpolated with the prior of the depth offset, see [`offset_covariance`]. Of more than 200
-/// places 200 that lie far apart count.
+/// Differences at a few places of the canvas, interpolated smoothly: by exp(-r^2 / (2 * 2^2)) with a noise of 0.01, as a Gaussian process. Of
+/// more than 200 places 200 that lie far apart count.
 struct Correction {
     places: Vec<[f64; 2]>,
     weights: Vec<f64>,
@@ -111,15 +111,20 @@ impl Correction {
         let known = spread_out(known);
         let places: Vec<[f64; 2]> = known.iter().map(|k| k.0).collect();
         let n = known.len();
-        let noise = |i: usize, j: usize| if i == j { MET * MET } else { 0.0 };
-        let matrix = DMatrix::from_fn(n, n, |i, j| offset_covariance(places[i], places[j]) + noise(i, j));
+        let noise = |i: usize, j: usize| if i == j { 1e-4 } else { 0.0 };
+        let matrix = DMatrix::from_fn(n, n, |i, j| kernel(places[i], places[j]) + noise(i, j));
         let right = DVector::from_iterator(n, known.iter().map(|k| k.1));
-        let factor = matrix.cholesky().expect("a covariance with noise is positive definite");
+        let factor = matrix.cholesky().expect("a Gaussian kernel with noise is positive definite");
         Self { places, weights: factor.solve(&right).iter().copied().collect() }
     }
 
     /// What is to be added at `p`.
     fn at(&self, p: [f64; 2]) -> f64 {
-        self.places.iter().zip(&self.weights).map(|(q, weight)| weight * offset_covariance(p, *q)).sum()
+        self.places.iter().zip(&self.weights).map(|(q, weight)| weight * kernel(p, *q)).sum()
     }
+}
+
+fn kernel(p: [f64; 2], q: [f64; 2]) -> f64 {
+    let squared = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
+    (-squared / (2.0 * CORRECTION_RANGE * CORRECTION_RANGE)).exp()
 }
