@@ -12,8 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 /// panels: 1e6 is too little for 30,000 faces.
 const PENALTY: f64 = 1e8;
 
-/// Solutions with each factorization; each updates the multipliers, which gains a factor of about `PENALTY` over the stiffest soft weight, and
-/// halves what the matrix has too much of the fairness term.
+/// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
 const UPDATES: usize = 3;
 
 /// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
@@ -102,9 +101,9 @@ impl State<'_> {
         let factor = self.symbolic.factorize(self.matrix.matrix(), "planarization")?;
 
         let mut step = vec![0.0; 3 * count];
-        for _ in 0..UPDATES {
-            let excess = self.fairness_excess(&step);
-            step.iter_mut().zip(&gradient).zip(&excess).for_each(|((s, g), e)| *s = e - g);
+        let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
+        for _ in 0..updates {
+            step.iter_mut().zip(&gradient).for_each(|(s, g)| *s = -g);
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
                 for (k, &v) in face.iter().enumerate() {
@@ -116,8 +115,8 @@ impl State<'_> {
                 step[3 * v..3 * v + 3].fill(0.0);
             }
             factor.solve(&mut step);
-            if matches!(phase, Phase::Penalty(_)) {
-                continue;
+            if updates == 1 {
+                break;
             }
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
@@ -142,20 +141,6 @@ impl State<'_> {
         }
         let typical = (step.iter().map(|s| s * s).sum::<f64>() / count as f64).sqrt();
         Ok((Step { longest, typical }, System { factor, equations }))
-    }
-
-    /// What the matrix has too much of the fairness term's Hessian, times a step.
-    fn fairness_excess(&self, step: &[f64]) -> Vec<f64> {
-        let mut excess = vec![0.0; step.len()];
-        for &[a, _, c] in self.input.polylines {
-            for (v, w) in [(a as usize, c as usize), (c as usize, a as usize)] {
-                if !self.pinned[v] {
-                    (0..3)
-                        .for_each(|k| excess[3 * v + k] += self.options.fairness * (step[3 * v + k] - step[3 * w + k]));
-                }
-            }
-        }
-        excess
     }
 
     /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
@@ -259,16 +244,13 @@ impl State<'_> {
             for (&v, c) in triple.iter().zip(factors) {
                 change += (self.vertices[v as usize] - self.input.mesh.vertices[v as usize]) * (c / self.edge);
             }
-            // Twice the squared differences along the two edges instead of the squared second difference: what is too much, the squared difference of
-            // the ends, is put right when the system is solved, and without its block the factor is a third as full.
-            let block = Matrix3::identity() * (2.0 * options.fairness);
-            for (v, w) in [(triple[0], triple[1]), (triple[2], triple[1])] {
-                for (a, b) in [(v, w), (w, v)] {
-                    if v != w && !self.pinned[a as usize] {
-                        self.matrix.add(a, a, &block);
-                        if a > b && !self.pinned[b as usize] {
-                            self.matrix.add(a, b, &-block);
-                        }
+            for (i, &v) in triple.iter().enumerate().filter(|(_, v)| !self.pinned[**v as usize]) {
+                for (j, &w) in triple.iter().enumerate().take(i + 1) {
+                    if !self.pinned[w as usize] {
+                        // A pair of places held by one vertex counts in both orders.
+                        let twice = if i != j && v == w { 2.0 } else { 1.0 };
+                        let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
+                        self.matrix.add(v, w, &block);
                     }
                 }
             }

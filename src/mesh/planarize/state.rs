@@ -92,7 +92,7 @@ impl<'a> State<'a> {
                 pairs.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
-        pairs.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c]]));
+        pairs.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]));
         let edges = edges(input.mesh);
         pairs.extend_from_slice(&edges);
         let angle_sums = angle_sums(input.mesh, options.offsets);
