@@ -117,8 +117,8 @@ fn surface_value(surface: &NurbsSurface) -> Value {
 ///
 /// Strokes are arranged into regions and drawn as maps; VD-Net and OD-Net predict depth and normals of both layers; the
 /// border strokes, lifted to those depths, are the rim of the patch; inside, the layers are unfolded across the contours
-/// and fitted, and where the sketch draws no contour BSR-Net shapes a Coons patch too; Gauss-Newton refines the better of the two, between
-/// both. Without depth
+/// and fitted, and where the sketch draws no contour BSR-Net shapes a Coons patch too; Gauss-Newton refines the better of
+/// the two, between both. Without depth
 /// samples the lowest point of each patch has z = 0 (seen from within three degrees of the horizon, where sliding along
 /// the view moves nothing up or down: its mean depth is 0); with depth samples the patch passes through them.
 ///
