@@ -2,6 +2,7 @@
 
 mod bars;
 mod case;
+mod compare;
 pub mod metrics;
 mod sheet;
 mod table;
@@ -9,6 +10,7 @@ mod timing;
 
 pub use bars::{Bar, bars, bars_markdown};
 pub use case::{Case, KEYS, measure, surface_scores};
+pub use compare::comparison_markdown;
 pub use sheet::{Rank, sheet};
 pub use table::{groups, markdown, scores_json};
 pub use timing::timing_markdown;

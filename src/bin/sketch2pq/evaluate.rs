@@ -6,7 +6,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use sketch2pq::Error;
 use sketch2pq::control::Control;
 use sketch2pq::datagen::Options;
-use sketch2pq::evaluate::{Rank, Split, bars, bars_markdown, evaluate, markdown, scores_json, sheet, timing_markdown};
+use sketch2pq::evaluate::{
+    Rank, Split, bars, bars_markdown, comparison_markdown, evaluate, markdown, scores_json, sheet, timing_markdown,
+};
 use sketch2pq::infer::{BackendOptions, Models, Networks};
 use sketch2pq::pipeline::Session;
 use std::path::{Path, PathBuf};
@@ -31,6 +33,9 @@ pub struct Evaluate {
     /// Lowest and highest elevation of the view, degrees.
     #[arg(long, num_args = 2, default_values_t = Options::default().elevation_deg, value_names = ["LOW", "HIGH"])]
     elevation: Vec<f64>,
+    /// Folder of an earlier evaluation: the sketches that both have, measure by measure, in comparison.md.
+    #[arg(long, value_name = "DIR")]
+    against: Option<PathBuf>,
     /// Also the time that each stage took: timing.md. Meaningful on a quiet machine only.
     #[arg(long)]
     timing: bool,
@@ -59,6 +64,7 @@ impl Evaluate {
     }
 
     fn measure(&self) -> Result<(), Error> {
+        let others = self.against.as_deref().map(cases_of).transpose()?;
         let session_options = self.runtime.session_options();
         let models = match &session_options.models_folder {
             Some(folder) => Models::from_folder(folder)?,
@@ -114,6 +120,11 @@ impl Evaluate {
             self.write("timing.md", &timing)?;
             table = format!("{table}\n{timing}");
         }
+        if let Some(others) = others {
+            let comparison = comparison_markdown(&cases, &others);
+            self.write("comparison.md", &comparison)?;
+            table = format!("{table}\n{comparison}");
+        }
         if !self.no_pictures {
             for (name, rank) in [("best.png", Rank::Best), ("median.png", Rank::Median), ("worst.png", Rank::Worst)] {
                 self.write(name, sheet(&mut session, split, &cases, rank, &options, &control)?.to_png()?)?;
@@ -128,6 +139,14 @@ impl Evaluate {
         let path = self.out.join(name);
         std::fs::write(&path, content).map_err(|error| file_error(&path, &error))
     }
+}
+
+/// The cases of an earlier evaluation.
+fn cases_of(folder: &Path) -> Result<serde_json::Value, Error> {
+    let path = folder.join("cases.json");
+    let text = std::fs::read_to_string(&path).map_err(|error| file_error(&path, &error))?;
+    serde_json::from_str(&text)
+        .map_err(|error| Error::File { path: path.display().to_string(), reason: error.to_string() })
 }
 
 fn file_error(path: &Path, error: &std::io::Error) -> Error {
