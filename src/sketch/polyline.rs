@@ -207,3 +207,9 @@ impl SegmentGrid {
         found.dedup();
     }
 }
+
+/// The point half-way along.
+pub(crate) fn middle(points: &[Point]) -> Point {
+    let arc = arc_lengths(points);
+    point_at(points, &arc, 0.5 * arc[arc.len() - 1])
+}
