@@ -23,6 +23,7 @@ const WHOLE: f64 = 0.9999;
 pub fn bars(split: Split, cases: &[Case]) -> Vec<Bar> {
     let all: Vec<&Case> = cases.iter().collect();
     let many: Vec<&Case> = all.iter().copied().filter(|c| c.samples >= 3).collect();
+    let none: Vec<&Case> = all.iter().copied().filter(|c| c.samples == 0).collect();
     let noisy: Vec<&Case> = all.iter().copied().filter(|c| c.noisy).collect();
     // The paper splits views, not surfaces: only unseen views are held to its numbers.
     let as_the_paper = |key| if split == Split::Rotations { average(&all, key) } else { None };
@@ -41,6 +42,16 @@ pub fn bars(split: Split, cases: &[Case]) -> Vec<Bar> {
         at_most("D_n with three and more depth samples: 15.8 degrees", 15.8, average(&many, "d_n_deg")),
         at_most("D_n: 15.8 degrees", 15.8, as_the_paper("d_n_deg")),
         at_most("D_c: 0.034", 0.034, as_the_paper("d_c")),
+        at_most(
+            "residual at a depth sample over the root of D_v of sketches without any: 1/3",
+            1.0 / 3.0,
+            average(&all, "sample_residual")
+                .zip(average(&none, "d_v"))
+                .map(|(residual, without)| residual / without.sqrt()),
+        ),
+        each("depth samples met within a hundredth of the depth range: all", 1.0, &all, |c| {
+            at_most_of(c, "sample_residual_share", 0.01)
+        }),
         at_most("CDF angle: 15 degrees", 15.0, average(&all, "cdf_angle_deg")),
         each("strokes met within half a pixel, mean of each sketch: all", 1.0, &all, |c| {
             at_most_of(c, "strokes_mean_px", 0.5)
@@ -139,6 +150,17 @@ mod tests {
         assert_eq!((strict.measured.as_str(), strict.met), ("19 of 20; not 7", true));
         assert!(find(&bars, "every panel planar to 1e-4").met);
         assert!(bars.iter().all(|bar| !bar.asked.starts_with("D_f")), "nothing was measured");
+    }
+
+    #[test]
+    fn residuals_at_samples_are_held_against_sketches_without() {
+        let mut without = case(1, &[("d_v", 0.25)]);
+        without.samples = 0;
+        let missed = case(2, &[("d_v", 9.0), ("sample_residual", 0.1), ("sample_residual_share", 0.02)]);
+        let bars = bars(Split::Surfaces, &[without, missed]);
+        let ratio = find(&bars, "residual at a depth sample");
+        assert_eq!((ratio.measured.as_str(), ratio.met), ("0.200", true));
+        assert_eq!(find(&bars, "depth samples met").measured, "0 of 1; not 2");
     }
 
     #[test]

@@ -16,7 +16,7 @@ use nalgebra::{Matrix4, Point3, Vector4};
 use std::collections::BTreeMap;
 
 /// What is measured, in the order of tables; each is raw canonical units or as its name says.
-pub const KEYS: [&str; 33] = [
+pub const KEYS: [&str; 34] = [
     "d_c",
     "d_n_deg",
     "d_c_start",
@@ -50,6 +50,7 @@ pub const KEYS: [&str; 33] = [
     "crossing_min_deg",
     "irregular_vertices",
     "sample_residual",
+    "sample_residual_share",
 ];
 
 /// The measures of one sketch.
@@ -112,7 +113,12 @@ fn fill(case: &mut Case, session: &mut Session, networks: &mut Networks, truth: 
     case.values.insert("reprojection_mean_px", mean);
     case.values.insert("reprojection_p95_px", p95);
     if let Some(residual) = surface.report.sample_residual {
-        case.values.insert("sample_residual", residual * truth.patch.frame.scale);
+        let residual = residual * truth.patch.frame.scale;
+        case.values.insert("sample_residual", residual);
+        case.values.insert(
+            "sample_residual_share",
+            residual / SurfaceSamples::new(&truth.surface, SURFACE_SIDE).depth_range(),
+        );
     }
     let field = sketch_to_cdf(session, Some(&truth.sketch), &surface, &FieldOptions::default())?;
     let mesh = extract_pq_mesh(session, &field, &MeshOptions::default())?;

@@ -27,6 +27,13 @@ impl SurfaceSamples {
         samples
     }
 
+    /// Largest less smallest z.
+    pub fn depth_range(&self) -> f64 {
+        let [low, high] =
+            self.points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| [low.min(p.z), high.max(p.z)]);
+        high - low
+    }
+
     /// Each point with the nearest of the other surface's points.
     pub fn nearest_in(&self, other: &Self) -> Vec<(Point3<f64>, Point3<f64>)> {
         let tree = other.tree();
