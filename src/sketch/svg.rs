@@ -4,7 +4,10 @@ use super::polyline::distance;
 use super::stroke::{DepthSample, Layer, Sketch, Stroke, StrokeKind};
 use super::view::View;
 use crate::error::Error;
+use nalgebra::{Affine2, Matrix3, Point2};
 use roxmltree::{Document, Node};
+use std::str::FromStr;
+use svgtypes::{Color, LengthUnit, NumberListParser, Paint, PathParser, PathSegment, Transform};
 
 /// Segments that a curve of a path is flattened to.
 const CURVE_STEPS: usize = 24;
@@ -19,36 +22,10 @@ fn format(node: Option<Node>, reason: impl std::fmt::Display) -> Error {
     Error::Format { what: "sketch SVG", reason: format!("{}{reason}", place.unwrap_or_default()) }
 }
 
-/// Affine map [a b c d e f]: x' = a x + c y + e, y' = b x + d y + f.
-#[derive(Clone, Copy)]
-struct Affine([f64; 6]);
-
-impl Affine {
-    const IDENTITY: Self = Self([1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
-
-    fn apply(&self, p: [f64; 2]) -> [f64; 2] {
-        let m = &self.0;
-        [m[0] * p[0] + m[2] * p[1] + m[4], m[1] * p[0] + m[3] * p[1] + m[5]]
-    }
-
-    /// First `inner`, then this.
-    fn after(&self, inner: &Self) -> Self {
-        let (m, n) = (&self.0, &inner.0);
-        Self([
-            m[0] * n[0] + m[2] * n[1],
-            m[1] * n[0] + m[3] * n[1],
-            m[0] * n[2] + m[2] * n[3],
-            m[1] * n[2] + m[3] * n[3],
-            m[0] * n[4] + m[2] * n[5] + m[4],
-            m[1] * n[4] + m[3] * n[5] + m[5],
-        ])
-    }
-}
-
 /// What elements inherit from the groups around them.
 #[derive(Clone)]
 struct Context {
-    map: Affine,
+    map: Affine2<f64>,
     color: Option<[u8; 3]>,
     /// Kind by the name of a layer, class or id.
     named: Option<StrokeKind>,
@@ -75,9 +52,9 @@ pub fn parse_svg(text: &str) -> Result<Sketch, Error> {
         None => vec![],
     };
     let side = |name: &str, index: usize| {
-        let digits = root.attribute(name).map(|t| t.trim_end_matches(|c: char| c.is_alphabetic()).trim());
-        let given = digits.and_then(|t| t.parse::<f64>().ok()).filter(|x| x.is_finite() && *x > 0.0);
-        view_box.get(index).copied().filter(|x| *x > 0.0).or(given).unwrap_or(256.0)
+        let length = root.attribute(name).and_then(|text| svgtypes::Length::from_str(text).ok());
+        let given = length.filter(|l| l.unit != LengthUnit::Percent).map(|l| l.number);
+        [view_box.get(index).copied(), given].into_iter().flatten().find(|x| *x > 0.0).unwrap_or(256.0)
     };
     let mut sketch = Sketch {
         name: root.children().find(|n| n.has_tag_name("title")).and_then(|n| n.text()).unwrap_or("").trim().to_string(),
@@ -86,7 +63,7 @@ pub fn parse_svg(text: &str) -> Result<Sketch, Error> {
         strokes: vec![],
         depth_samples: vec![],
     };
-    let context = Context { map: Affine::IDENTITY, color: None, named: None, layer: None };
+    let context = Context { map: Affine2::identity(), color: None, named: None, layer: None };
     visit(root, &context, 0, &mut sketch)?;
     Ok(sketch)
 }
@@ -114,10 +91,22 @@ fn visit(node: Node, outer: &Context, depth: usize, sketch: &mut Sketch) -> Resu
     }
     let mut context = outer.clone();
     if let Some(text) = node.attribute("transform") {
-        context.map = outer.map.after(&transform(text).map_err(|e| format(Some(node), e))?);
+        let Transform { a, b, c, d, e, f } = Transform::from_str(text)
+            .map_err(|e| format(Some(node), format!("transform {text:?} is not understood: {e}")))?;
+        context.map = outer.map * Affine2::from_matrix_unchecked(Matrix3::new(a, c, e, b, d, f, 0.0, 0.0, 1.0));
     }
     if let Some(paint) = property(node, "stroke") {
-        context.color = color(paint).map_err(|e| format(Some(node), e))?;
+        context.color = match Paint::from_str(paint) {
+            Ok(Paint::None) => None,
+            Ok(Paint::Inherit) => context.color,
+            Ok(Paint::CurrentColor) => Some([0; 3]),
+            Ok(Paint::Color(Color { red, green, blue, alpha })) => (alpha > 0).then_some([red, green, blue]),
+            _ => {
+                let reason =
+                    format!("stroke colour {paint:?} is not understood; use #rrggbb, rgb(r, g, b) or a name of CSS");
+                return Err(format(Some(node), reason));
+            }
+        };
     }
     let names: Vec<&str> = node
         .attributes()
@@ -133,7 +122,9 @@ fn visit(node: Node, outer: &Context, depth: usize, sketch: &mut Sketch) -> Resu
         value.ok_or_else(|| format(Some(node), format!("{name} is {text:?}, expected a number")))
     };
     let lines: Vec<Vec<[f64; 2]>> = match tag {
-        "path" => path(node.attribute("d").unwrap_or("")).map_err(|e| format(Some(node), e))?,
+        "path" => {
+            path(node.attribute("d").unwrap_or("")).map_err(|e| format(Some(node), format!("in its path, {e}")))?
+        }
         "polyline" | "polygon" => {
             let values = numbers(node.attribute("points").unwrap_or("")).map_err(|e| format(Some(node), e))?;
             if values.len() % 2 == 1 {
@@ -154,7 +145,7 @@ fn visit(node: Node, outer: &Context, depth: usize, sketch: &mut Sketch) -> Resu
                 let value = text.trim().trim_start_matches("depth").trim_start_matches([' ', '=', ':']).trim();
                 let depth: Option<f64> = value.parse().ok().filter(|x: &f64| x.is_finite());
                 let depth = depth.ok_or_else(|| format(Some(node), format!("depth is {text:?}, expected a number")))?;
-                let position = context.map.apply([number("cx")?, number("cy")?]);
+                let position = (context.map * Point2::new(number("cx")?, number("cy")?)).into();
                 let layer = context.layer.unwrap_or(Layer::Visible);
                 sketch.depth_samples.push(DepthSample { position, layer, depth });
             }
@@ -165,9 +156,12 @@ fn visit(node: Node, outer: &Context, depth: usize, sketch: &mut Sketch) -> Resu
     let drawable = lines.into_iter().filter(|l| l.len() > 1);
     if let Some(kind) = context.color.map(|c| context.named.unwrap_or_else(|| kind_by_color(c))) {
         let map = &context.map;
-        sketch
-            .strokes
-            .extend(drawable.map(|line| Stroke { kind, points: line.into_iter().map(|p| map.apply(p)).collect() }));
+        sketch.strokes.extend(
+            drawable.map(|line| Stroke {
+                kind,
+                points: line.into_iter().map(|p| (map * Point2::from(p)).into()).collect(),
+            }),
+        );
     }
     for child in node.children().filter(Node::is_element) {
         visit(child, &context, depth + 1, sketch)?;
@@ -223,248 +217,59 @@ fn kind_by_color([r, g, b]: [u8; 3]) -> StrokeKind {
     }
 }
 
-/// RGB of a paint; `None` where nothing is painted.
-fn color(text: &str) -> Result<Option<[u8; 3]>, String> {
-    let text = text.trim().to_ascii_lowercase();
-    let bad = || format!("stroke colour {text:?} is not understood; use #rrggbb or rgb(r, g, b)");
-    if let Some(hex) = text.strip_prefix('#') {
-        let digits: Option<Vec<u8>> = hex.chars().map(|c| c.to_digit(16).map(|d| d as u8)).collect();
-        return match digits.ok_or_else(bad)?[..] {
-            [r, g, b] | [r, g, b, _] => Ok(Some([r * 17, g * 17, b * 17])),
-            [a, b, c, d, e, f] | [a, b, c, d, e, f, _, _] => Ok(Some([a * 16 + b, c * 16 + d, e * 16 + f])),
-            _ => Err(bad()),
-        };
-    }
-    if let Some(list) = text.strip_prefix("rgb") {
-        let inner = list.trim_start_matches('a').trim().strip_prefix('(').and_then(|l| l.strip_suffix(')'));
-        let mut parts = inner.ok_or_else(bad)?.split([',', ' ', '/']).filter(|p| !p.is_empty());
-        let mut channel = || -> Option<u8> {
-            let part = parts.next()?;
-            let value = match part.strip_suffix('%') {
-                Some(percent) => percent.parse::<f64>().ok()? * 2.55,
-                None => part.parse::<f64>().ok()?,
-            };
-            Some(value.round().clamp(0.0, 255.0) as u8)
-        };
-        return match (channel(), channel(), channel()) {
-            (Some(r), Some(g), Some(b)) => Ok(Some([r, g, b])),
-            _ => Err(bad()),
-        };
-    }
-    Ok(Some(match text.as_str() {
-        "none" | "transparent" => return Ok(None),
-        "black" | "currentcolor" => [0, 0, 0],
-        "gray" | "grey" => [128, 128, 128],
-        "darkgray" | "darkgrey" => [169, 169, 169],
-        "green" => [0, 128, 0],
-        "lime" => [0, 255, 0],
-        "limegreen" => [50, 205, 50],
-        "darkgreen" => [0, 100, 0],
-        "forestgreen" => [34, 139, 34],
-        "seagreen" => [46, 139, 87],
-        "springgreen" => [0, 255, 127],
-        "blue" => [0, 0, 255],
-        "navy" => [0, 0, 128],
-        "darkblue" => [0, 0, 139],
-        "mediumblue" => [0, 0, 205],
-        "royalblue" => [65, 105, 225],
-        "dodgerblue" => [30, 144, 255],
-        "steelblue" => [70, 130, 180],
-        "red" => [255, 0, 0],
-        "darkred" => [139, 0, 0],
-        "crimson" => [220, 20, 60],
-        "firebrick" => [178, 34, 34],
-        "maroon" => [128, 0, 0],
-        "orangered" => [255, 69, 0],
-        _ => return Err(bad()),
-    }))
-}
-
-/// Reads numbers as SVG writes them: separated by spaces, commas, or just a sign or second point.
-struct Numbers<'a> {
-    text: &'a [u8],
-    at: usize,
-}
-
-impl Numbers<'_> {
-    fn skip(&mut self) {
-        while self.at < self.text.len() && (self.text[self.at].is_ascii_whitespace() || self.text[self.at] == b',') {
-            self.at += 1;
-        }
-    }
-
-    /// The next command letter, if there is one.
-    fn letter(&mut self) -> Option<u8> {
-        self.skip();
-        let c = *self.text.get(self.at)?;
-        c.is_ascii_alphabetic().then(|| {
-            self.at += 1;
-            c
-        })
-    }
-
-    fn done(&mut self) -> bool {
-        self.skip();
-        self.at >= self.text.len()
-    }
-
-    fn number(&mut self) -> Result<f64, String> {
-        self.skip();
-        let start = self.at;
-        let byte = |at: usize| self.text.get(at).copied().unwrap_or(0);
-        let mut at = start;
-        if matches!(byte(at), b'+' | b'-') {
-            at += 1;
-        }
-        let mut point = false;
-        while byte(at).is_ascii_digit() || (byte(at) == b'.' && !point) {
-            point |= byte(at) == b'.';
-            at += 1;
-        }
-        if matches!(byte(at), b'e' | b'E') {
-            let sign = usize::from(matches!(byte(at + 1), b'+' | b'-'));
-            if byte(at + 1 + sign).is_ascii_digit() {
-                at += 1 + sign;
-                while byte(at).is_ascii_digit() {
-                    at += 1;
-                }
-            }
-        }
-        self.at = at;
-        let text = std::str::from_utf8(&self.text[start..at]).unwrap_or("");
-        let value = text.parse::<f64>().ok().filter(|x| x.is_finite());
-        value.ok_or_else(|| format!("expected a number at character {} of the list", start + 1))
-    }
-
-    /// A flag of an arc: one digit, which may touch the next number.
-    fn flag(&mut self) -> Result<bool, String> {
-        self.skip();
-        let c = self.text.get(self.at).copied();
-        self.at += 1;
-        match c {
-            Some(b'0') => Ok(false),
-            Some(b'1') => Ok(true),
-            _ => Err(format!("expected 0 or 1 at character {} of the path", self.at)),
-        }
-    }
-}
-
-fn numbers(text: &str) -> Result<Vec<f64>, String> {
-    let mut reader = Numbers { text: text.as_bytes(), at: 0 };
-    let mut values = vec![];
-    while !reader.done() {
-        values.push(reader.number()?);
-    }
-    Ok(values)
-}
-
-fn transform(text: &str) -> Result<Affine, String> {
-    let mut map = Affine::IDENTITY;
-    let mut rest = text.trim();
-    while !rest.is_empty() {
-        let bad = || format!("transform {text:?} is not understood");
-        let (name, after) = rest.split_once('(').ok_or_else(bad)?;
-        let (list, after) = after.split_once(')').ok_or_else(bad)?;
-        let v = numbers(list)?;
-        let shift = |x: f64, y: f64| Affine([1.0, 0.0, 0.0, 1.0, x, y]);
-        let step = match (name.trim(), &v[..]) {
-            ("matrix", &[a, b, c, d, e, f]) => Affine([a, b, c, d, e, f]),
-            ("translate", &[x]) => shift(x, 0.0),
-            ("translate", &[x, y]) => shift(x, y),
-            ("scale", &[s]) => Affine([s, 0.0, 0.0, s, 0.0, 0.0]),
-            ("scale", &[x, y]) => Affine([x, 0.0, 0.0, y, 0.0, 0.0]),
-            ("rotate", &[angle]) => rotation(angle),
-            ("rotate", &[angle, x, y]) => shift(x, y).after(&rotation(angle)).after(&shift(-x, -y)),
-            ("skewX", &[angle]) => Affine([1.0, 0.0, angle.to_radians().tan(), 1.0, 0.0, 0.0]),
-            ("skewY", &[angle]) => Affine([1.0, angle.to_radians().tan(), 0.0, 1.0, 0.0, 0.0]),
-            _ => return Err(bad()),
-        };
-        map = map.after(&step);
-        rest = after.trim_start_matches([',', ' ', '\t', '\n', '\r']);
-    }
-    Ok(map)
-}
-
-fn rotation(angle_deg: f64) -> Affine {
-    let (s, c) = angle_deg.to_radians().sin_cos();
-    Affine([c, s, -s, c, 0.0, 0.0])
+fn numbers(text: &str) -> Result<Vec<f64>, svgtypes::Error> {
+    NumberListParser::from(text).collect()
 }
 
 /// A path's subpaths as polylines.
-fn path(text: &str) -> Result<Vec<Vec<[f64; 2]>>, String> {
-    let mut reader = Numbers { text: text.as_bytes(), at: 0 };
+fn path(text: &str) -> Result<Vec<Vec<[f64; 2]>>, svgtypes::Error> {
     let mut lines: Vec<Vec<[f64; 2]>> = vec![];
     let (mut at, mut start) = ([0.0f64; 2], [0.0f64; 2]);
-    // Last control point, for the smooth commands; which curve it belongs to.
-    let mut control: Option<(u8, [f64; 2])> = None;
-    let mut command = 0;
+    // Last control points of a cubic and of a quadratic curve, for the smooth commands.
+    let (mut cubic_control, mut quadratic_control) = (None, None);
     let mut closed = false;
-    while !reader.done() {
-        let implicit = match reader.letter() {
-            Some(letter) => {
-                command = letter;
-                false
-            }
-            None => true,
-        };
-        let upper = command.to_ascii_uppercase();
-        if command == 0 || (implicit && upper == b'Z') {
-            return Err("a path has to begin with M, and Z takes no numbers".into());
-        }
-        if upper != b'M' && lines.is_empty() {
-            return Err("a path has to begin with M".into());
-        }
-        let base = if command.is_ascii_lowercase() { at } else { [0.0; 2] };
-        let point = |reader: &mut Numbers| -> Result<[f64; 2], String> {
-            let x = reader.number()?;
-            Ok([base[0] + x, base[1] + reader.number()?])
-        };
-        let mut following = None;
-        let reflected = |kind: u8| match control {
-            Some((k, c)) if k == kind => [2.0 * at[0] - c[0], 2.0 * at[1] - c[1]],
-            _ => at,
-        };
+    for segment in PathParser::from(text) {
+        let segment = segment?;
+        let base = if segment.is_abs() { [0.0; 2] } else { at };
+        let place = |x: f64, y: f64| [base[0] + x, base[1] + y];
+        let reflected = |control: Option<[f64; 2]>| control.map_or(at, |c| [0, 1].map(|k| 2.0 * at[k] - c[k]));
+        let (mut following_cubic, mut following_quadratic) = (None, None);
         let mut added: Vec<[f64; 2]> = vec![];
-        match upper {
-            b'M' => {
-                let p = point(&mut reader)?;
-                if implicit {
-                    added.push(p);
-                } else {
-                    lines.push(vec![p]);
-                    (at, start) = (p, p);
-                }
+        match segment {
+            PathSegment::MoveTo { x, y, .. } => {
+                start = place(x, y);
+                at = start;
+                lines.push(vec![at]);
             }
-            b'L' => added.push(point(&mut reader)?),
-            b'H' => added.push([base[0] + reader.number()?, at[1]]),
-            b'V' => added.push([at[0], base[1] + reader.number()?]),
-            b'C' | b'S' => {
-                let c1 = if upper == b'C' { point(&mut reader)? } else { reflected(b'C') };
-                let (c2, end) = (point(&mut reader)?, point(&mut reader)?);
-                following = Some((b'C', c2));
-                added.extend(cubic(at, c1, c2, end));
+            PathSegment::LineTo { x, y, .. } => added.push(place(x, y)),
+            PathSegment::HorizontalLineTo { x, .. } => added.push([base[0] + x, at[1]]),
+            PathSegment::VerticalLineTo { y, .. } => added.push([at[0], base[1] + y]),
+            PathSegment::CurveTo { x1, y1, x2, y2, x, y, .. } => {
+                following_cubic = Some(place(x2, y2));
+                added.extend(cubic(at, place(x1, y1), place(x2, y2), place(x, y)));
             }
-            b'Q' | b'T' => {
-                let c = if upper == b'Q' { point(&mut reader)? } else { reflected(b'Q') };
-                let end = point(&mut reader)?;
-                following = Some((b'Q', c));
-                let third = |a: [f64; 2]| [0, 1].map(|k| a[k] + 2.0 / 3.0 * (c[k] - a[k]));
-                added.extend(cubic(at, third(at), third(end), end));
+            PathSegment::SmoothCurveTo { x2, y2, x, y, .. } => {
+                following_cubic = Some(place(x2, y2));
+                added.extend(cubic(at, reflected(cubic_control), place(x2, y2), place(x, y)));
             }
-            b'A' => {
-                let radii = [reader.number()?, reader.number()?];
-                let angle = reader.number()?;
-                let (large, sweep) = (reader.flag()?, reader.flag()?);
-                let end = point(&mut reader)?;
-                added.extend(arc(at, radii, angle, large, sweep, end));
+            PathSegment::Quadratic { x1, y1, x, y, .. } => {
+                following_quadratic = Some(place(x1, y1));
+                added.extend(quadratic(at, place(x1, y1), place(x, y)));
             }
-            b'Z' => {
+            PathSegment::SmoothQuadratic { x, y, .. } => {
+                let control = reflected(quadratic_control);
+                following_quadratic = Some(control);
+                added.extend(quadratic(at, control, place(x, y)));
+            }
+            PathSegment::EllipticalArc { rx, ry, x_axis_rotation, large_arc, sweep, x, y, .. } => {
+                added.extend(arc(at, [rx, ry], x_axis_rotation, large_arc, sweep, place(x, y)));
+            }
+            PathSegment::ClosePath { .. } => {
                 if distance(at, start) > 0.0 {
                     added.push(start);
                 }
                 at = start;
             }
-            other => return Err(format!("path command {:?} is not known", char::from(other))),
         }
         if let Some(&last) = added.last() {
             if closed {
@@ -474,14 +279,15 @@ fn path(text: &str) -> Result<Vec<Vec<[f64; 2]>>, String> {
             lines.last_mut().expect("a path begins with M").extend(added);
             at = last;
         }
-        control = following;
-        closed = upper == b'Z';
-        if upper == b'M' {
-            // Further pairs are lines.
-            command = if command == b'M' { b'L' } else { b'l' };
-        }
+        (cubic_control, quadratic_control) = (following_cubic, following_quadratic);
+        closed = matches!(segment, PathSegment::ClosePath { .. });
     }
     Ok(lines)
+}
+
+fn quadratic(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
+    let third = |end: [f64; 2]| [0, 1].map(|k| end[k] + 2.0 / 3.0 * (b[k] - end[k]));
+    cubic(a, third(a), third(c), c)
 }
 
 fn cubic(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
