@@ -1,4 +1,4 @@
-"""Frames, the Gaussian-process base of depth samples, and the augmentations; the contract with `src/sketch/raster.rs`.
+"""Frames, the Gaussian-process base of depth samples, and the augmentations; the contract with `src/sketch/raster.rs` and `sample_base.rs`.
 
 All tensors are float32, NCHW; positions are canonical (x right, y up).
 """

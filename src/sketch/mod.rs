@@ -5,6 +5,7 @@ mod fit;
 mod json;
 mod polyline;
 mod raster;
+mod sample_base;
 mod stroke;
 mod svg;
 mod view;
@@ -12,10 +13,10 @@ mod visibility;
 
 pub use json::{parse_json, write_json};
 pub use raster::{
-    CANVAS_HALF_WIDTH, CANVAS_SIZE, MAP_SIZE, Raster, STROKE_CHANNELS, SampleBase, canvas_pixels, coverage,
-    horizontal_slope, map_coordinates, map_position, offset_covariance, paper_raster, rasterize, sample_base,
-    spread_out,
+    CANVAS_HALF_WIDTH, CANVAS_SIZE, MAP_SIZE, Raster, STROKE_CHANNELS, canvas_pixels, coverage, horizontal_slope,
+    map_coordinates, map_position, paper_raster, rasterize,
 };
+pub use sample_base::{SampleBase, offset_covariance, sample_base, spread_out};
 pub use stroke::{DepthSample, Layer, Sketch, Stroke, StrokeKind};
 pub use svg::{parse_svg, write_svg};
 pub use view::{CANONICAL_LENGTH, CanonicalFrame, View};
