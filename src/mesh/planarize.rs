@@ -7,6 +7,7 @@ mod outline;
 mod search;
 mod soundness;
 mod state;
+mod unknowns;
 
 use super::offsets::OffsetKind;
 use super::panel_mesh::PanelMesh;
