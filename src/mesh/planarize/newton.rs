@@ -234,7 +234,7 @@ impl State<'_> {
             }
         }
         for triple in self.input.polylines {
-            if !self.unknowns.moves_any(triple) {
+            if options.fairness == 0.0 || !self.unknowns.moves_any(triple) {
                 continue;
             }
             let factors = [1.0, -2.0, 1.0];

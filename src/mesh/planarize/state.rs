@@ -100,7 +100,9 @@ impl<'a> State<'a> {
                 couplings.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
-        couplings.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]));
+        if options.fairness > 0.0 {
+            couplings.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]));
+        }
         let edges = edges(input.mesh);
         couplings.extend_from_slice(&edges);
         let angle_sums = angle_sums(input.mesh, options.offsets);

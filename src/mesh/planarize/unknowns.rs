@@ -22,14 +22,14 @@ impl Unknowns {
     /// - `couplings`: pairs of vertices that share a term; those with a vertex that is held do not count.
     ///
     /// # Errors
-    /// As [`SymbolicCholesky::new`].
+    /// As [`BlockMatrix::analyse`].
     pub(super) fn new(moves: &[bool], couplings: &[[u32; 2]]) -> Result<Self, Error> {
         let vertices: Vec<u32> = (0..moves.len() as u32).filter(|&v| moves[v as usize]).collect();
         let mut places = vec![HELD; moves.len()];
         (0..).zip(&vertices).for_each(|(place, &v)| places[v as usize] = place);
         let pairs = couplings.iter().map(|pair| pair.map(|v| places[v as usize])).filter(|pair| !pair.contains(&HELD));
         let matrix = BlockMatrix::new(vertices.len(), pairs.collect());
-        let symbolic = SymbolicCholesky::new(matrix.matrix())?;
+        let symbolic = matrix.analyse()?;
         Ok(Self { vertices, places, matrix, symbolic })
     }
 
