@@ -183,18 +183,19 @@ impl Planarized {
 /// which leaves a third fewer unknowns and exact constraints instead of penalties.
 pub fn planarize(input: &PlanarizeInput, options: &PlanarizeOptions, control: &Control) -> Result<Planarized, Error> {
     check(input, options)?;
-    let own;
-    let reference: &dyn Reference = match input.reference {
-        Some(reference) => reference,
+    let (own, parameters);
+    let (reference, input): (&dyn Reference, _) = match input.reference {
+        Some(reference) => (reference, *input),
         None => {
             own = MeshReference::from_panels(input.mesh);
-            &own
+            parameters = own.vertex_parameters();
+            (&own, PlanarizeInput { parameters: Some(&parameters), ..*input })
         }
     };
     let edge = mean_edge_length(input.mesh);
     let width = width(&input.mesh.vertices);
     let limit = options.deviation.unwrap_or((0.02 * width).min(0.2 * edge));
-    let mut state = State::new(input, reference, options, edge, limit)?;
+    let mut state = State::new(&input, reference, options, edge, limit)?;
     state.run(control)?;
 
     let State { vertices, feet, rounds, freed, may_split, .. } = state;
