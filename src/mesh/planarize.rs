@@ -161,11 +161,12 @@ impl Planarized {
 /// tangent planes and border tangents at fresh closest points, anchoring, change of the polylines' second differences) under
 /// the linearized equations; the equality-constrained system is solved by a sparse Cholesky factorization of H + mu C^T C,
 /// whose symbolic part all rounds share, and multiplier updates. Where vertices leave the allowed deviation, their
-/// weights grow; so do those of the anchors where border vertices slide so far that an edge between them cuts a bend of the border short. The last
-/// rounds drop the soft gradient and only project onto the constraints.
+/// weights grow; so do those of the anchors where border vertices slide so far that an edge between them cuts a bend of the border short. Once four of
+/// five vertices have settled, only the others and those that strain the limits go on, with what is around them. The last rounds drop the soft
+/// gradient and only project onto the constraints.
 ///
 /// A planar mesh that turns a face over or collapses an edge is no answer: vertices there go a part of their step only, and the edges there become
-/// stiffer; if the planar mesh does so all the same, the search goes on from the last sound state with edges stiffer still. If that does not
+/// stiffer; if the planar mesh does so all the same, the search goes on there from the last sound state with edges stiffer still. If that does not
 /// help either, faces there are let off being planar: those in [`PlanarizeInput::splittable`], which then become triangles, and, at last, any
 /// that [`PlanarizeOptions::split_beyond`] allows. A planar mesh that leaves the allowed deviation gets a few attempts more in the same way.
 ///

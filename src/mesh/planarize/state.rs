@@ -195,7 +195,7 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Planarity of each face as [`crate::mesh::planarity`] defines it; 0 for those let off being planar.
+    /// Planarity of each face as [`crate::mesh::planarity()`] defines it; 0 for those let off being planar.
     pub(super) fn planarity(&self) -> Vec<f64> {
         let length = |&[a, b]: &[u32; 2]| (self.vertices[a as usize] - self.vertices[b as usize]).norm();
         let mean = self.edges.iter().map(length).sum::<f64>() / self.edges.len() as f64;
