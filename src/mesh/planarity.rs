@@ -26,15 +26,15 @@ pub fn width(points: &[Point3<f64>]) -> f64 {
 pub fn planarity(mesh: &PanelMesh) -> Vec<f64> {
     let scale = mean_edge_length(mesh);
     if scale > 0.0 {
-        mesh.faces().map(|face| out_of_plane(mesh, face) / scale).collect()
+        mesh.faces().map(|face| out_of_plane(&mesh.vertices, face) / scale).collect()
     } else {
         vec![0.0; mesh.face_count()]
     }
 }
 
 /// Planarity of one face as [`planarity`] defines it, before the division by the mean edge length.
-fn out_of_plane(mesh: &PanelMesh, face: &[u32]) -> f64 {
-    let corner = |k: usize| mesh.vertices[face[k] as usize];
+pub(crate) fn out_of_plane(vertices: &[Point3<f64>], face: &[u32]) -> f64 {
+    let corner = |k: usize| vertices[face[k] as usize];
     match face.len() {
         0..=3 => 0.0,
         4 => {

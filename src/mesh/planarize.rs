@@ -7,6 +7,7 @@ mod outline;
 mod search;
 mod soundness;
 mod state;
+mod unknowns;
 
 use super::offsets::OffsetKind;
 use super::panel_mesh::PanelMesh;
@@ -160,11 +161,12 @@ impl Planarized {
 /// tangent planes and border tangents at fresh closest points, anchoring, change of the polylines' second differences) under
 /// the linearized equations; the equality-constrained system is solved by a sparse Cholesky factorization of H + mu C^T C,
 /// whose symbolic part all rounds share, and multiplier updates. Where vertices leave the allowed deviation, their
-/// weights grow; so do those of the anchors where border vertices slide so far that an edge between them cuts a bend of the border short. The last
-/// rounds drop the soft gradient and only project onto the constraints.
+/// weights grow; so do those of the anchors where border vertices slide so far that an edge between them cuts a bend of the border short. Once four of
+/// five vertices have settled, only the others and those that strain the limits go on, with what is around them. The last rounds drop the soft
+/// gradient and only project onto the constraints.
 ///
 /// A planar mesh that turns a face over or collapses an edge is no answer: vertices there go a part of their step only, and the edges there become
-/// stiffer; if the planar mesh does so all the same, the search goes on from the last sound state with edges stiffer still. If that does not
+/// stiffer; if the planar mesh does so all the same, the search goes on there from the last sound state with edges stiffer still. If that does not
 /// help either, faces there are let off being planar: those in [`PlanarizeInput::splittable`], which then become triangles, and, at last, any
 /// that [`PlanarizeOptions::split_beyond`] allows. A planar mesh that leaves the allowed deviation gets a few attempts more in the same way.
 ///
@@ -182,18 +184,19 @@ impl Planarized {
 /// which leaves a third fewer unknowns and exact constraints instead of penalties.
 pub fn planarize(input: &PlanarizeInput, options: &PlanarizeOptions, control: &Control) -> Result<Planarized, Error> {
     check(input, options)?;
-    let own;
-    let reference: &dyn Reference = match input.reference {
-        Some(reference) => reference,
+    let (own, parameters);
+    let (reference, input): (&dyn Reference, _) = match input.reference {
+        Some(reference) => (reference, *input),
         None => {
             own = MeshReference::from_panels(input.mesh);
-            &own
+            parameters = own.vertex_parameters();
+            (&own, PlanarizeInput { parameters: Some(&parameters), ..*input })
         }
     };
     let edge = mean_edge_length(input.mesh);
     let width = width(&input.mesh.vertices);
     let limit = options.deviation.unwrap_or((0.02 * width).min(0.2 * edge));
-    let mut state = State::new(input, reference, options, edge, limit)?;
+    let mut state = State::new(&input, reference, options, edge, limit)?;
     state.run(control)?;
 
     let State { vertices, feet, rounds, freed, may_split, .. } = state;

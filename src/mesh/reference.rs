@@ -3,7 +3,9 @@
 use super::panel_mesh::PanelMesh;
 use crate::surface::{SurfaceMesh, SurfaceProjector};
 use nalgebra::{Point3, Vector3};
+use rstar::primitives::GeomWithData;
 use rstar::{AABB, PointDistance, RTree, RTreeObject};
+use std::sync::OnceLock;
 
 /// Closest point of a [`Reference`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,16 +59,22 @@ impl Reference for SurfaceProjector {
     }
 }
 
-/// A [`Reference`] made of triangles with smoothly interpolated normals.
+/// A [`Reference`] made of triangles with smoothly interpolated normals. Its first parameter is the number of a triangle, from which a search with a
+/// hint goes from neighbour to neighbour for as long as that leads nearer.
 pub struct MeshReference {
-    triangles: RTree<Triangle>,
+    vertices: Vec<Point3<f64>>,
+    /// Unit normal at each vertex.
+    normals: Vec<Vector3<f64>>,
+    triangles: Vec<[u32; 3]>,
+    /// For each vertex, the start of its triangles in `around`.
+    starts: Vec<usize>,
+    around: Vec<u32>,
+    /// Grown by the first search without a hint.
+    tree: OnceLock<RTree<GeomWithData<Triangle, u32>>>,
     border: RTree<Segment>,
 }
 
-struct Triangle {
-    corners: [Point3<f64>; 3],
-    normals: [Vector3<f64>; 3],
-}
+struct Triangle([Point3<f64>; 3]);
 
 struct Segment {
     ends: [Point3<f64>; 2],
@@ -102,13 +110,18 @@ impl MeshReference {
     }
 
     fn build(vertices: &[Point3<f64>], normals: &[Vector3<f64>], faces: &[[u32; 3]]) -> Self {
-        let triangles = faces
-            .iter()
-            .map(|t| Triangle {
-                corners: t.map(|v| vertices[v as usize]),
-                normals: t.map(|v| normals[v as usize].try_normalize(0.0).unwrap_or_default()),
-            })
-            .collect();
+        let mut starts = vec![0; vertices.len() + 1];
+        faces.as_flattened().iter().for_each(|&v| starts[v as usize + 1] += 1);
+        for v in 0..vertices.len() {
+            starts[v + 1] += starts[v];
+        }
+        let (mut next, mut around) = (starts.clone(), vec![0; 3 * faces.len()]);
+        for (t, triangle) in (0..).zip(faces) {
+            for &v in triangle {
+                around[next[v as usize]] = t;
+                next[v as usize] += 1;
+            }
+        }
         // The sides of triangles that occur once.
         let mut sides: Vec<[u32; 2]> = faces
             .iter()
@@ -132,20 +145,77 @@ impl MeshReference {
             .into_iter()
             .map(|ends| Segment { ends: ends.map(at), corners: ends.map(|v| corners.binary_search(&v).is_ok()) })
             .collect();
-        Self { triangles: RTree::bulk_load(triangles), border: RTree::bulk_load(border) }
+        Self {
+            vertices: vertices.to_vec(),
+            normals: normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
+            triangles: faces.to_vec(),
+            starts,
+            around,
+            tree: OnceLock::new(),
+            border: RTree::bulk_load(border),
+        }
+    }
+
+    /// For each vertex, parameters of where it lies; not numbers, and so no hint, for one without a triangle.
+    pub(super) fn vertex_parameters(&self) -> Vec<[f64; 2]> {
+        self.starts
+            .windows(2)
+            .map(|range| self.around[range[0]..range[1]].first().map_or([f64::NAN; 2], |&t| [f64::from(t), 0.0]))
+            .collect()
+    }
+
+    fn corners(&self, triangle: u32) -> [Point3<f64>; 3] {
+        self.triangles[triangle as usize].map(|v| self.vertices[v as usize])
+    }
+
+    /// Squared distance of a triangle; infinite for one on a line that has none.
+    fn squared(&self, triangle: u32, point: &Point3<f64>) -> f64 {
+        let squared = squared_distance(&self.corners(triangle), point);
+        if squared.is_nan() { f64::INFINITY } else { squared }
+    }
+
+    /// The triangle reached from `start` by going to the nearest around it.
+    fn descend(&self, point: &Point3<f64>, start: u32) -> (u32, f64) {
+        let mut best = (start, self.squared(start, point));
+        loop {
+            let from = best.0;
+            for v in self.triangles[from as usize] {
+                for &t in &self.around[self.starts[v as usize]..self.starts[v as usize + 1]] {
+                    let squared = self.squared(t, point);
+                    if squared < best.1 {
+                        best = (t, squared);
+                    }
+                }
+            }
+            if best.0 == from {
+                return best;
+            }
+        }
+    }
+
+    /// The nearest triangle of all; `None` if there is none.
+    fn nearest(&self, point: &Point3<f64>) -> Option<u32> {
+        let grow = || {
+            let count = self.triangles.len() as u32;
+            RTree::bulk_load((0..count).map(|t| GeomWithData::new(Triangle(self.corners(t)), t)).collect())
+        };
+        self.tree.get_or_init(grow).nearest_neighbor([point.x, point.y, point.z]).map(|nearest| nearest.data)
     }
 }
 
 impl Reference for MeshReference {
-    fn closest(&self, point: &Point3<f64>, _hint: Option<[f64; 2]>) -> Foot {
-        let Some(triangle) = self.triangles.nearest_neighbor([point.x, point.y, point.z]) else {
+    fn closest(&self, point: &Point3<f64>, hint: Option<[f64; 2]>) -> Foot {
+        let start = hint.filter(|[t, _]| (0.0..self.triangles.len() as f64).contains(t)).map(|[t, _]| t as u32);
+        let near = start.map(|t| self.descend(point, t)).filter(|near| near.1.is_finite()).map(|near| near.0);
+        let Some(triangle) = near.or_else(|| self.nearest(point)) else {
             return Foot { point: *point, direction: Vector3::zeros(), parameters: [0.0; 2] };
         };
-        let [a, b, c] = closest_in_triangle(&triangle.corners, point);
-        let [p, q, r] = triangle.corners.map(|p| p.coords);
-        let [l, m, n] = triangle.normals;
-        let direction = (l * a + m * b + n * c).try_normalize(0.0).unwrap_or_default();
-        Foot { point: Point3::from(p * a + q * b + r * c), direction, parameters: [0.0; 2] }
+        let corners = self.corners(triangle);
+        let weights = closest_in_triangle(&corners, point);
+        let [l, m, n] = self.triangles[triangle as usize].map(|v| self.normals[v as usize]);
+        let direction = (l * weights[0] + m * weights[1] + n * weights[2]).try_normalize(0.0).unwrap_or_default();
+        let point = Point3::from(weighted(&corners, weights));
+        Foot { point, direction, parameters: [f64::from(triangle), 0.0] }
     }
 
     fn closest_on_border(&self, point: &Point3<f64>, _hint: Option<[f64; 2]>) -> Option<Foot> {
@@ -172,17 +242,22 @@ fn bounds(points: &[Point3<f64>]) -> AABB<[f64; 3]> {
 impl RTreeObject for Triangle {
     type Envelope = AABB<[f64; 3]>;
     fn envelope(&self) -> Self::Envelope {
-        bounds(&self.corners)
+        bounds(&self.0)
     }
 }
 
 impl PointDistance for Triangle {
     fn distance_2(&self, point: &[f64; 3]) -> f64 {
-        let point = Point3::from(*point);
-        let weights = closest_in_triangle(&self.corners, &point);
-        let foot: Vector3<f64> = (0..3).map(|k| self.corners[k].coords * weights[k]).sum();
-        (foot - point.coords).norm_squared()
+        squared_distance(&self.0, &Point3::from(*point))
     }
+}
+
+fn weighted(corners: &[Point3<f64>; 3], weights: [f64; 3]) -> Vector3<f64> {
+    (0..3).map(|k| corners[k].coords * weights[k]).sum()
+}
+
+fn squared_distance(corners: &[Point3<f64>; 3], point: &Point3<f64>) -> f64 {
+    (weighted(corners, closest_in_triangle(corners, point)) - point.coords).norm_squared()
 }
 
 impl RTreeObject for Segment {
@@ -282,18 +357,39 @@ mod tests {
         }
     }
 
-    #[test]
-    fn feet_lie_on_the_surface_and_on_its_border() {
-        let n = 8u32;
-        let vertices =
-            (0..(n + 1) * (n + 1)).map(|k| Point3::new((k / (n + 1)) as f64, (k % (n + 1)) as f64, 0.0)).collect();
-        let faces: Vec<[u32; 4]> = (0..n * n)
+    /// Unit squares over [0, 8]^2 at height z(x, y).
+    fn squares(z: impl Fn(f64, f64) -> f64) -> PanelMesh {
+        let place = |k: u32| (f64::from(k / 9), f64::from(k % 9));
+        let vertices = (0..81).map(place).map(|(x, y)| Point3::new(x, y, z(x, y))).collect();
+        let faces: Vec<[u32; 4]> = (0..64)
             .map(|k| {
-                let a = k / n * (n + 1) + k % n;
-                [a, a + n + 1, a + n + 2, a + 1]
+                let a = k / 8 * 9 + k % 8;
+                [a, a + 9, a + 10, a + 1]
             })
             .collect();
-        let reference = MeshReference::from_panels(&PanelMesh::new(vertices, &faces).unwrap());
+        PanelMesh::new(vertices, &faces).unwrap()
+    }
+
+    #[test]
+    fn a_hint_leads_to_the_same_foot() {
+        let mesh = squares(|x, y| 0.1 * x * x - 0.05 * x * y);
+        let reference = MeshReference::from_panels(&mesh);
+        for (hint, p) in reference.vertex_parameters().into_iter().zip(&mesh.vertices) {
+            assert_eq!(reference.closest(p, Some(hint)).point, *p);
+            for (x, y) in [(1.3, 0.4), (-0.7, 1.6), (0.2, -2.1)] {
+                let query = p + Vector3::new(x, y, 0.3);
+                let (near, anywhere) = (reference.closest(&query, Some(hint)), reference.closest(&query, None));
+                assert!((near.point - anywhere.point).norm() < 1e-12, "{query}");
+                assert!((near.direction - anywhere.direction).norm() < 1e-12, "{query}");
+            }
+        }
+        let far = Point3::new(7.7, 7.2, 1.0);
+        assert_eq!(reference.closest(&far, Some([f64::NAN; 2])), reference.closest(&far, None));
+    }
+
+    #[test]
+    fn feet_lie_on_the_surface_and_on_its_border() {
+        let reference = MeshReference::from_panels(&squares(|_, _| 0.0));
         let point = Point3::new(3.3, 1.2, 0.7);
         let foot = reference.closest(&point, None);
         assert!((foot.point - Point3::new(3.3, 1.2, 0.0)).norm() < 1e-12);

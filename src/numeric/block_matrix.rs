@@ -1,5 +1,7 @@
 //! Symmetric sparse matrices of 3 x 3 blocks.
 
+use super::cholesky::SymbolicCholesky;
+use crate::error::Error;
 use nalgebra::Matrix3;
 use sprs::CsMat;
 
@@ -57,6 +59,21 @@ impl BlockMatrix {
         &self.matrix
     }
 
+    /// Analyses the pattern, see [`SymbolicCholesky::new`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn analyse(&self) -> Result<SymbolicCholesky, Error> {
+        let size = self.starts.len() - 1;
+        let (mut starts, mut rows) = (vec![0], Vec::with_capacity(size + self.below.len()));
+        for j in 0..size {
+            rows.push(j);
+            rows.extend(self.below[self.starts[j]..self.starts[j + 1]].iter().map(|&i| i as usize));
+            starts.push(rows.len());
+        }
+        SymbolicCholesky::of_blocks(&self.matrix, 3, &starts, &rows)
+    }
+
     /// Sets all blocks to zero.
     pub fn clear(&mut self) {
         self.matrix.data_mut().fill(0.0);
@@ -94,7 +111,6 @@ impl BlockMatrix {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numeric::SymbolicCholesky;
 
     #[test]
     fn blocks_land_in_both_triangles() {
@@ -114,7 +130,7 @@ mod tests {
         }
         let truth = nalgebra::DVector::from_fn(9, |i, _| (i as f64).sin());
         let mut columns = (&dense * &truth).as_slice().to_vec();
-        let symbolic = SymbolicCholesky::new(matrix.matrix()).unwrap();
+        let symbolic = matrix.analyse().unwrap();
         symbolic.factorize(matrix.matrix(), "test").unwrap().solve(&mut columns);
         assert!(columns.iter().zip(truth.iter()).all(|(a, b)| (a - b).abs() < 1e-12));
     }

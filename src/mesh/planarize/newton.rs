@@ -12,8 +12,11 @@ use nalgebra::{Matrix3, Vector3};
 /// panels: 1e6 is too little for 30,000 faces.
 const PENALTY: f64 = 1e8;
 
-/// Multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
+/// Most multiplier updates for each factorization; each gains a factor of about `PENALTY` over the stiffest soft weight.
 const UPDATES: usize = 3;
+
+/// Change of the step, as a share of its length, by a multiplier update below which no other follows.
+const SETTLED: f64 = 1e-2;
 
 /// Longest step of a vertex against its neighbours in one round, in mean edge lengths.
 pub(super) const LONGEST_STEP: f64 = 0.3;
@@ -35,8 +38,17 @@ pub(super) enum Phase {
 /// Lengths of the steps that the vertices asked for in one round, mean edges.
 pub(super) struct Step {
     pub(super) longest: f64,
-    /// Root mean square over all vertices.
-    pub(super) typical: f64,
+    /// Of each vertex; 0 for those that are held.
+    pub(super) lengths: Vec<f64>,
+}
+
+impl Step {
+    /// What four of five of the given vertices stay below.
+    pub(super) fn typical(&self, vertices: &[u32]) -> f64 {
+        let mut lengths: Vec<f64> = vertices.iter().map(|&v| self.lengths[v as usize]).collect();
+        let place = lengths.len() * 4 / 5;
+        if lengths.is_empty() { 0.0 } else { *lengths.select_nth_unstable_by(place, f64::total_cmp).1 }
+    }
 }
 
 /// A factorized round: what small further steps towards planarity need.
@@ -49,22 +61,18 @@ pub(super) struct System {
 impl State<'_> {
     /// A step towards planarity with the factorization of a round before.
     pub(super) fn correct(&mut self, system: &System) {
-        let mut step = vec![0.0; 3 * self.vertices.len()];
+        let mut step = vec![Vector3::zeros(); self.vertices.len()];
         for (face, equation) in self.input.mesh.faces().zip(&system.equations) {
             let Some(equation) = equation else { continue };
             let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
             let Some(now) = FaceEquations::new(&corners) else { continue };
             for (&v, residual) in face.iter().zip(&now.residual) {
-                let force = equation.normal * (PENALTY * residual * now.normal.dot(&equation.normal).signum());
-                (0..3).for_each(|a| step[3 * v as usize + a] -= force[a]);
+                step[v as usize] -= equation.normal * (PENALTY * residual * now.normal.dot(&equation.normal).signum());
             }
         }
-        for v in (0..self.vertices.len()).filter(|&v| self.pinned[v]) {
-            step[3 * v..3 * v + 3].fill(0.0);
-        }
-        system.factor.solve(&mut step);
-        for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
-            *point += Vector3::from_row_slice(s) * self.edge;
+        self.unknowns.solve(&system.factor, &mut step);
+        for (point, s) in self.vertices.iter_mut().zip(step) {
+            *point += s * self.edge;
         }
     }
 
@@ -76,21 +84,22 @@ impl State<'_> {
             self.refresh(STALE);
         }
         let mesh = self.input.mesh;
-        let count = self.vertices.len();
         let gradient = self.soft_terms(phase);
 
         let penalty = if let Phase::Penalty(penalty) = phase { penalty } else { PENALTY };
         let mut equations = Vec::with_capacity(mesh.face_count());
         for (f, face) in mesh.faces().enumerate() {
+            if self.freed[f] || !self.unknowns.moves_any(face) {
+                equations.push(None);
+                continue;
+            }
             let corners: Vec<_> = face.iter().map(|&v| self.vertices[v as usize].coords / self.edge).collect();
-            let equation = if self.freed[f] { None } else { FaceEquations::new(&corners) };
+            let equation = FaceEquations::new(&corners);
             if let Some(equation) = &equation {
                 let block = equation.normal * equation.normal.transpose() * penalty;
                 for i in 0..face.len() {
                     for j in 0..=i {
-                        if !self.pinned[face[i] as usize] && !self.pinned[face[j] as usize] {
-                            self.matrix.add(face[i], face[j], &(block * equation.projector[i * face.len() + j]));
-                        }
+                        self.unknowns.add(face[i], face[j], &(block * equation.projector[i * face.len() + j]));
                     }
                 }
                 // Only what the present equations can transmit.
@@ -98,63 +107,56 @@ impl State<'_> {
             }
             equations.push(equation);
         }
-        let factor = self.symbolic.factorize(self.matrix.matrix(), "planarization")?;
+        let factor = self.unknowns.factorize()?;
 
-        let mut step = vec![0.0; 3 * count];
-        let updates = if matches!(phase, Phase::Penalty(_)) { 1 } else { UPDATES };
-        for _ in 0..updates {
-            step.iter_mut().zip(&gradient).for_each(|(s, g)| *s = -g);
+        let mut step = vec![Vector3::zeros(); self.vertices.len()];
+        for update in 0..UPDATES {
+            let before = step;
+            step = gradient.iter().map(|g| -g).collect();
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
                 for (k, &v) in face.iter().enumerate() {
-                    let force = equation.normal * (self.multipliers[f][k] + penalty * equation.residual[k]);
-                    (0..3).for_each(|a| step[3 * v as usize + a] -= force[a]);
+                    step[v as usize] -= equation.normal * (self.multipliers[f][k] + penalty * equation.residual[k]);
                 }
             }
-            for v in (0..count).filter(|&v| self.pinned[v]) {
-                step[3 * v..3 * v + 3].fill(0.0);
-            }
-            factor.solve(&mut step);
-            if updates == 1 {
+            self.unknowns.solve(&factor, &mut step);
+            if matches!(phase, Phase::Penalty(_)) {
                 break;
             }
             for (f, face) in mesh.faces().enumerate() {
                 let Some(equation) = &equations[f] else { continue };
-                let moved: Vec<f64> =
-                    face.iter().map(|&v| (0..3).map(|a| equation.normal[a] * step[3 * v as usize + a]).sum()).collect();
+                let moved: Vec<f64> = face.iter().map(|&v| equation.normal.dot(&step[v as usize])).collect();
                 for (k, change) in product(&equation.projector, &moved).into_iter().enumerate() {
                     self.multipliers[f][k] += penalty * (equation.residual[k] + change);
                 }
             }
+            if update > 0 && is_settled(&before, &step) {
+                break;
+            }
         }
 
-        let longest = step.chunks_exact(3).map(|s| Vector3::from_row_slice(s).norm()).fold(0.0, f64::max);
+        let longest = step.iter().map(|s| s.norm()).fold(0.0, f64::max);
         if !longest.is_finite() {
             return Err(Error::Degenerate { reason: "a planarization step is not finite".into() });
         }
         // Neighbours that move together keep their panels' shapes, and may move farther.
-        let at = |v: u32| Vector3::from_row_slice(&step[3 * v as usize..3 * v as usize + 3]);
-        let strain = self.edges.iter().map(|&[a, b]| (at(a) - at(b)).norm()).fold(0.0, f64::max);
+        let strain = self.edges.iter().map(|&[a, b]| (step[a as usize] - step[b as usize]).norm()).fold(0.0, f64::max);
         let scale = self.edge * (LONGEST_STEP / longest.min(strain.max(longest * JOINT_STEP))).min(1.0);
-        for (point, s) in self.vertices.iter_mut().zip(step.chunks_exact(3)) {
-            *point += Vector3::from_row_slice(s) * scale;
+        for (point, s) in self.vertices.iter_mut().zip(&step) {
+            *point += s * scale;
         }
-        let typical = (step.iter().map(|s| s * s).sum::<f64>() / count as f64).sqrt();
-        Ok((Step { longest, typical }, System { factor, equations }))
+        Ok((Step { longest, lengths: step.iter().map(|s| s.norm()).collect() }, System { factor, equations }))
     }
 
     /// Fills the matrix with the soft terms' Hessian and returns their gradient, both in units of the mean edge.
-    pub(super) fn soft_terms(&mut self, phase: Phase) -> Vec<f64> {
+    pub(super) fn soft_terms(&mut self, phase: Phase) -> Vec<Vector3<f64>> {
         let options = self.options;
-        let count = self.vertices.len();
-        let mut gradient = vec![0.0; 3 * count];
-        self.matrix.clear();
+        let mut gradient = vec![Vector3::zeros(); self.vertices.len()];
+        self.unknowns.clear();
         let with_gradient = phase != Phase::Project;
-        for v in 0..count {
-            if self.pinned[v] {
-                self.matrix.add(v as u32, v as u32, &Matrix3::identity());
-                continue;
-            }
+        for k in 0..self.unknowns.vertices().len() {
+            let vertex = self.unknowns.vertices()[k];
+            let v = vertex as usize;
             let foot = &self.feet[v];
             let d = foot.direction;
             let along = d * d.transpose();
@@ -167,15 +169,17 @@ impl State<'_> {
                 along * (options.closeness * self.emphasis[v])
             };
             let anchor = self.anchors[v] * self.hold[v];
-            self.matrix.add(v as u32, v as u32, &(block + Matrix3::identity() * anchor));
+            self.unknowns.add(vertex, vertex, &(block + Matrix3::identity() * anchor));
             if with_gradient {
                 let offset = (self.vertices[v] - foot.point) / self.edge;
                 let drift = (self.vertices[v] - self.input.mesh.vertices[v]) / self.edge;
-                let g = block * offset + drift * anchor;
-                (0..3).for_each(|a| gradient[3 * v + a] += g[a]);
+                gradient[v] += block * offset + drift * anchor;
             }
         }
         for (&[v, w], stiffness) in self.edges.iter().zip(&self.stiffness) {
+            if !self.unknowns.moves_any(&[v, w]) {
+                continue;
+            }
             let (before, after) = (
                 self.input.mesh.vertices[w as usize] - self.input.mesh.vertices[v as usize],
                 self.vertices[w as usize] - self.vertices[v as usize],
@@ -187,80 +191,76 @@ impl State<'_> {
             let weight = options.stretch * stiffness / (length * left).powi(2);
             let change = (after - before) * (weight / self.edge);
             let block = Matrix3::identity() * weight;
-            for (a, b, sign) in [(v, w, -1.0), (w, v, 1.0)] {
-                if self.pinned[a as usize] {
-                    continue;
-                }
-                self.matrix.add(a, a, &block);
-                if a > b && !self.pinned[b as usize] {
-                    self.matrix.add(a, b, &-block);
-                }
-                if with_gradient {
-                    (0..3).for_each(|k| gradient[3 * a as usize + k] += sign * change[k]);
-                }
+            self.unknowns.add(v, v, &block);
+            self.unknowns.add(w, w, &block);
+            self.unknowns.add(w, v, &-block);
+            if with_gradient {
+                gradient[v as usize] -= change;
+                gradient[w as usize] += change;
             }
         }
         for sum in &self.angle_sums {
+            let corners = sum.angles.as_flattened();
+            if !self.unknowns.moves_any(corners) {
+                continue;
+            }
             let Some((value, gradients)) = sum.evaluate(&self.vertices) else { continue };
-            for (&v, g) in sum.angles.as_flattened().iter().zip(gradients.as_flattened()) {
-                if self.pinned[v as usize] {
-                    continue;
-                }
+            for (&v, g) in corners.iter().zip(gradients.as_flattened()) {
                 let scaled = g * (options.offset_weight * self.edge);
-                for (&w, h) in sum.angles.as_flattened().iter().zip(gradients.as_flattened()) {
-                    if w <= v && !self.pinned[w as usize] {
-                        self.matrix.add(v, w, &(scaled * (h * self.edge).transpose()));
-                    }
+                for (&w, h) in corners.iter().zip(gradients.as_flattened()).filter(|(w, _)| **w <= v) {
+                    self.unknowns.add(v, w, &(scaled * (h * self.edge).transpose()));
                 }
                 if with_gradient {
-                    (0..3).for_each(|a| gradient[3 * v as usize + a] += value * scaled[a]);
+                    gradient[v as usize] += scaled * value;
                 }
             }
         }
         for term in &self.feature_terms {
+            if !self.unknowns.moves_any(&term.corners) {
+                continue;
+            }
             let mut slip = 0.0;
             for (&v, c) in term.corners.iter().zip(term.factors) {
                 slip += term.across.dot(&self.vertices[v as usize].coords) * c / self.edge;
             }
+            let block = term.across * term.across.transpose();
             for (i, &v) in term.corners.iter().enumerate() {
-                if self.pinned[v as usize] {
-                    continue;
-                }
-                for (j, &w) in term.corners.iter().enumerate() {
-                    if w <= v && !self.pinned[w as usize] {
-                        let block = term.across * term.across.transpose();
-                        self.matrix.add(v, w, &(block * (term.weight * term.factors[i] * term.factors[j])));
-                    }
+                for (j, &w) in term.corners.iter().enumerate().filter(|(_, w)| **w <= v) {
+                    self.unknowns.add(v, w, &(block * (term.weight * term.factors[i] * term.factors[j])));
                 }
                 if with_gradient {
-                    let g = term.across * (term.weight * term.factors[i] * slip);
-                    (0..3).for_each(|a| gradient[3 * v as usize + a] += g[a]);
+                    gradient[v as usize] += term.across * (term.weight * term.factors[i] * slip);
                 }
             }
         }
         for triple in self.input.polylines {
+            if options.fairness == 0.0 || !self.unknowns.moves_any(triple) {
+                continue;
+            }
             let factors = [1.0, -2.0, 1.0];
             let mut change = Vector3::zeros();
             for (&v, c) in triple.iter().zip(factors) {
                 change += (self.vertices[v as usize] - self.input.mesh.vertices[v as usize]) * (c / self.edge);
             }
-            for (i, &v) in triple.iter().enumerate().filter(|(_, v)| !self.pinned[**v as usize]) {
+            for (i, &v) in triple.iter().enumerate() {
                 for (j, &w) in triple.iter().enumerate().take(i + 1) {
-                    if !self.pinned[w as usize] {
-                        // A pair of places held by one vertex counts in both orders.
-                        let twice = if i != j && v == w { 2.0 } else { 1.0 };
-                        let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
-                        self.matrix.add(v, w, &block);
-                    }
+                    // A pair of places held by one vertex counts in both orders.
+                    let twice = if i != j && v == w { 2.0 } else { 1.0 };
+                    let block = Matrix3::identity() * (options.fairness * factors[i] * factors[j] * twice);
+                    self.unknowns.add(v, w, &block);
                 }
-            }
-            if with_gradient {
-                for (&v, c) in triple.iter().zip(factors).filter(|(v, _)| !self.pinned[**v as usize]) {
-                    let g = change * (options.fairness * c);
-                    (0..3).for_each(|a| gradient[3 * v as usize + a] += g[a]);
+                if with_gradient {
+                    gradient[v as usize] += change * (options.fairness * factors[i]);
                 }
             }
         }
         gradient
     }
+}
+
+/// Whether the step of one solution is that of the one before.
+fn is_settled(before: &[Vector3<f64>], after: &[Vector3<f64>]) -> bool {
+    let largest = |lengths: &mut dyn Iterator<Item = f64>| lengths.fold(0.0, f64::max);
+    let change = largest(&mut before.iter().zip(after).map(|(a, b)| (a - b).norm()));
+    change <= SETTLED * largest(&mut after.iter().map(|s| s.norm()))
 }

@@ -11,8 +11,12 @@ use nalgebra::Point3;
 /// A step shorter than this, in mean edge lengths, ends the search for the best compromise of the soft terms.
 const STEP_TOLERANCE: f64 = 2e-3;
 
-/// The same of the root mean square over all vertices, where all keep the limits: fairness, all that is left to gain, is not seen by then.
-const TYPICAL_STEP: f64 = 0.03;
+/// The same of four of five vertices, in widths of the mesh: from then on only the others and those that strain the limits move, with what is around
+/// them.
+const TYPICAL_STEP: f64 = 2e-4;
+
+/// Faces around those that move with them, and as many more with each attempt.
+const RINGS: usize = 6;
 
 /// Bound of closeness and border weights where they grow; stiffer ones slow the multipliers down.
 const LARGEST_WEIGHT: f64 = 1e5;
@@ -23,7 +27,7 @@ const LARGEST_HOLD: f64 = 1e5;
 /// Step, in mean edge lengths, below which weights may grow before the search has settled.
 const GROWTH_STEP: f64 = 0.3;
 
-/// The same of the root mean square over all vertices.
+/// The same of four of five vertices.
 const TYPICAL_GROWTH_STEP: f64 = 0.1;
 
 /// Share of the largest strain before one round that is left after it where it falls by itself.
@@ -43,6 +47,9 @@ const ATTEMPTS: usize = 9;
 
 /// Newton rounds of the first attempt in search of the best compromise of the soft terms, and of each later one, which goes on from there.
 const BALANCE_ROUNDS: [usize; 2] = [40, 12];
+
+/// Planarity that the projection reaches wherever nothing is in its way.
+const PLANAR: f64 = 1e-10;
 
 /// How often a step that would spoil the mesh is halved where it does, before it is left out there.
 const HALVINGS: usize = 2;
@@ -98,7 +105,7 @@ impl State<'_> {
     /// Attempts at a planar mesh that covers its border; if none is sound or close enough, more cautious ones that may leave bends of the border
     /// behind; at last the compromise.
     pub(super) fn run(&mut self, control: &Control) -> Result<(), Error> {
-        if self.attempts(control)? {
+        if self.unknowns.vertices().is_empty() || self.attempts(control)? {
             return Ok(());
         }
         self.border_trace = BorderTrace::default();
@@ -121,11 +128,19 @@ impl State<'_> {
         let mut strayed = 0;
         for attempt in 0..ATTEMPTS {
             self.balance((self.rounds + BALANCE_ROUNDS[attempt.min(1)]).min(end), control)?;
+            if attempt == 0 {
+                self.widen();
+            }
             let sound = self.vertices.clone();
             self.project(control)?;
             let spoiled = self.spoiled(self.options.target);
+            let strains = self.strains();
+            let strain = strains.iter().copied().fold(0.0, f64::max);
             if spoiled.is_empty() {
-                let strain = self.largest_strain();
+                self.widen();
+                if self.worst_planarity() > PLANAR {
+                    self.project(control)?;
+                }
                 if best.as_ref().is_none_or(|b| strain < b.0) {
                     best = Some((strain, self.vertices.clone(), self.freed.clone()));
                 }
@@ -142,13 +157,20 @@ impl State<'_> {
             } else {
                 self.repair(&spoiled, attempt);
             }
-            self.vertices = sound;
+            let mut seeds: Vec<bool> = strains.into_iter().map(|strain| strain > 1.0).collect();
+            self.vertices_of(&spoiled).into_iter().for_each(|v| seeds[v] = true);
+            self.widen();
+            self.focus(seeds, RINGS * (attempt + 1))?;
+            for &v in self.unknowns.vertices() {
+                self.vertices[v as usize] = sound[v as usize];
+            }
             self.refresh(0.0);
         }
+        self.widen();
         if let Some((_, vertices, freed)) = best {
             (self.vertices, self.freed) = (vertices, freed);
             self.refresh(0.0);
-            return Ok(self.measure().1 <= self.options.allowance);
+            return Ok(self.largest_deviation() <= self.options.allowance);
         }
         Ok(false)
     }
@@ -185,32 +207,42 @@ impl State<'_> {
     fn balance(&mut self, end: usize, control: &Control) -> Result<(), Error> {
         let (mut shortest, mut idle, mut growths) = (f64::INFINITY, 0, 0);
         let mut last_strain = 0.0;
+        let near = TYPICAL_STEP * self.width / self.edge;
         // Faces that kept all rounds so far from going their way, and how many.
         let (mut stuck, mut stuck_for) = (vec![], 0);
         while self.rounds < end {
-            let (Step { longest: step, typical }, faces) = self.sound_round(control)?;
+            let (step, faces) = self.sound_round(control)?;
+            let (longest, typical) = (step.longest, step.typical(self.unknowns.vertices()));
             let same: Vec<usize> = faces.iter().copied().filter(|f| stuck.contains(f)).collect();
             (stuck, stuck_for) = if same.is_empty() { (faces, 0) } else { (same, stuck_for + 1) };
             if stuck_for >= STUCK_ROUNDS && !self.is_cautious {
                 break;
             }
             // Closest points on a reference of flat triangles jump: then steps stay small without shrinking.
-            idle = if step > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
+            idle = if longest > (0.9 * shortest).max(shortest - 0.3 * LONGEST_STEP) { idle + 1 } else { 0 };
             let is_settled =
-                step < STEP_TOLERANCE || (step > 0.7 * shortest && step < 50.0 * STEP_TOLERANCE) || idle > 3;
-            shortest = shortest.min(step);
-            if !is_settled && step > GROWTH_STEP && typical > TYPICAL_GROWTH_STEP {
+                longest < STEP_TOLERANCE || (longest > 0.7 * shortest && longest < 50.0 * STEP_TOLERANCE) || idle > 3;
+            shortest = shortest.min(longest);
+            if !is_settled && longest > GROWTH_STEP && typical > TYPICAL_GROWTH_STEP {
                 continue;
             }
             self.refresh(STALE);
+            let strains = self.strains();
+            if self.whole.is_none() && typical < near {
+                let moves = step.lengths.iter().zip(&strains).map(|(step, strain)| *step > near || *strain > 0.9);
+                if self.focus(moves.collect(), RINGS)? {
+                    (shortest, idle, last_strain) = (f64::INFINITY, 0, 0.0);
+                    continue;
+                }
+            }
             // A strain that still falls by itself needs no more weight.
-            let strain = self.largest_strain();
+            let strain = self.unknowns.vertices().iter().map(|&v| strains[v as usize]).fold(0.0, f64::max);
             let stays = strain > 0.9 && (is_settled || strain > FALLING * last_strain && last_strain > 0.0);
             last_strain = strain;
             if stays && growths < GROWTHS && self.rounds + 3 < end {
                 self.grow();
                 growths += 1;
-            } else if is_settled || strain <= 0.9 && typical < TYPICAL_STEP {
+            } else if is_settled || strain <= 0.9 && typical < near {
                 break;
             }
         }
@@ -234,7 +266,7 @@ impl State<'_> {
     fn compromise(&mut self, control: &Control) -> Result<(), Error> {
         self.restart();
         self.freed.fill(false);
-        let mut best = (self.vertices.clone(), self.measure());
+        let mut best = (self.vertices.clone(), self.worst_planarity());
         for penalty in [1.0, 1e1, 3e1, 1e2, 3e2, 1e3, 3e3, 1e4] {
             for _ in 0..6 {
                 if self.round(Phase::Penalty(penalty), control)?.0.longest < STEP_TOLERANCE {
@@ -242,13 +274,12 @@ impl State<'_> {
                 }
             }
             self.refresh(0.0);
-            let measured = self.measure();
-            let spoiled = self.spoiled(f64::INFINITY);
-            if measured.1 > 1.0 || !spoiled.is_empty() {
+            if self.largest_deviation() > 1.0 || !self.spoiled(f64::INFINITY).is_empty() {
                 break;
             }
-            if measured.0 < best.1.0 {
-                best = (self.vertices.clone(), measured);
+            let worst = self.worst_planarity();
+            if worst < best.1 {
+                best = (self.vertices.clone(), worst);
             }
         }
         self.vertices = best.0;
@@ -258,7 +289,7 @@ impl State<'_> {
 
     /// Rounds of projection until the residuals are at rounding level.
     fn project(&mut self, control: &Control) -> Result<(), Error> {
-        let mut best = (self.vertices.clone(), self.measure().0);
+        let mut best = (self.vertices.clone(), self.worst_planarity());
         // The soft terms' forces, which the multipliers hold up, are gone now.
         let multipliers = self.multipliers.clone();
         self.multipliers.iter_mut().for_each(|m| m.fill(0.0));
@@ -267,7 +298,7 @@ impl State<'_> {
                 break;
             }
             let (step, system) = self.round(Phase::Project, control)?;
-            let worst = self.measure().0;
+            let worst = self.worst_planarity();
             if worst >= 0.5 * best.1 && step.longest < LONGEST_STEP {
                 if worst < best.1 {
                     best = (self.vertices.clone(), worst);
@@ -280,7 +311,7 @@ impl State<'_> {
                     break;
                 }
                 self.correct(&system);
-                let corrected = self.measure().0;
+                let corrected = self.worst_planarity();
                 let converges = corrected < 0.3 * best.1;
                 if corrected < best.1 {
                     best = (self.vertices.clone(), corrected);

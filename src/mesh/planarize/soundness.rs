@@ -1,8 +1,6 @@
 //! Where a mesh is no longer what it was: faces turned over, edges collapsed.
 
 use super::state::State;
-use crate::mesh::panel_mesh::PanelMesh;
-use crate::mesh::planarity::planarity;
 use nalgebra::{Point3, Vector3};
 
 /// Length of an edge over its length at the start, below which a mesh counts as spoiled.
@@ -43,8 +41,7 @@ impl State<'_> {
         let collapsed = |edge: [u32; 2]| length(&self.vertices, edge) < COLLAPSED * length(before, edge);
         let mesh = self.input.mesh;
         let bent: Vec<bool> = if target < f64::INFINITY {
-            let moved = PanelMesh { vertices: self.vertices.clone(), ..mesh.clone() };
-            planarity(&moved).into_iter().zip(&self.freed).map(|(p, freed)| p > target && !freed).collect()
+            self.planarity().into_iter().map(|p| p > target).collect()
         } else {
             vec![false; mesh.face_count()]
         };

@@ -2,14 +2,13 @@
 
 use super::feature_terms::{FeatureTerm, feature_terms};
 use super::outline::{border_sides, border_turns};
+use super::unknowns::Unknowns;
 use super::{PlanarizeInput, PlanarizeOptions};
 use crate::error::Error;
 use crate::mesh::border_trace::BorderTrace;
 use crate::mesh::offsets::{AngleSum, angle_sums};
-use crate::mesh::panel_mesh::PanelMesh;
-use crate::mesh::planarity::{edges, planarity, width};
+use crate::mesh::planarity::{edges, out_of_plane, width};
 use crate::mesh::reference::{Foot, Reference};
-use crate::numeric::{BlockMatrix, SymbolicCholesky};
 use nalgebra::{Point3, Vector3};
 
 /// Growth of the anchor weight of a border vertex with the square of the angle, radians, by which the border turns there: where vertices slide away
@@ -25,6 +24,9 @@ const BORDER_LIMIT: f64 = 1e-3;
 /// Distance from the nearest border edge that no point of the border should exceed, in mean edge lengths, unless it starts farther away.
 pub(super) const BORDER_GAP: f64 = 0.09;
 
+/// Share of the free vertices beyond which a patch saves nothing.
+const LARGEST_PATCH: f64 = 0.5;
+
 /// The mesh as it is now, with all weights of the search.
 pub(super) struct State<'a> {
     pub(super) input: &'a PlanarizeInput<'a>,
@@ -32,13 +34,15 @@ pub(super) struct State<'a> {
     pub(super) options: &'a PlanarizeOptions,
     /// Mean edge length of the input: the unit of all residuals.
     pub(super) edge: f64,
+    pub(super) width: f64,
     pub(super) limit: f64,
     pub(super) border_limit: f64,
     pub(super) vertices: Vec<Point3<f64>>,
     pub(super) on_border: Vec<bool>,
     /// Vertices at corners of the reference's border: they stay there, however near a side is.
     pub(super) at_corner: Vec<bool>,
-    pub(super) pinned: Vec<bool>,
+    /// Whether each vertex may move at all.
+    pub(super) is_free: Vec<bool>,
     pub(super) feet: Vec<Foot>,
     /// Where each foot was asked for.
     pub(super) asked: Vec<Point3<f64>>,
@@ -64,8 +68,12 @@ pub(super) struct State<'a> {
     pub(super) is_cautious: bool,
     pub(super) angle_sums: Vec<AngleSum>,
     pub(super) feature_terms: Vec<FeatureTerm>,
-    pub(super) matrix: BlockMatrix,
-    pub(super) symbolic: SymbolicCholesky,
+    /// Pairs of vertices that share a term.
+    pub(super) couplings: Vec<[u32; 2]>,
+    /// What a round moves: all free vertices, or those of a patch.
+    pub(super) unknowns: Unknowns,
+    /// All free vertices, put aside while a patch is worked on.
+    pub(super) whole: Option<Unknowns>,
     pub(super) rounds: usize,
 }
 
@@ -81,42 +89,48 @@ impl<'a> State<'a> {
         let mut on_border = vec![false; count];
         input.border.iter().for_each(|&v| on_border[v as usize] = true);
         // A vertex of no face has nothing to move for.
-        let mut pinned = vec![true; count];
-        input.mesh.indices.iter().for_each(|&v| pinned[v as usize] = false);
-        input.pins.iter().for_each(|&v| pinned[v as usize] = true);
+        let mut is_free = vec![false; count];
+        input.mesh.indices.iter().for_each(|&v| is_free[v as usize] = true);
+        input.pins.iter().for_each(|&v| is_free[v as usize] = false);
         let mut may_split = vec![false; input.mesh.face_count()];
         input.splittable.iter().for_each(|&f| may_split[f as usize] = true);
-        let mut pairs = vec![];
+        let mut couplings = vec![];
         for group in input.mesh.faces().filter(|f| f.len() > 3) {
             for (k, &a) in group.iter().enumerate() {
-                pairs.extend(group[..k].iter().map(|&b| [a, b]));
+                couplings.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
-        pairs.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]));
+        if options.fairness > 0.0 {
+            couplings.extend(input.polylines.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]));
+        }
         let edges = edges(input.mesh);
-        pairs.extend_from_slice(&edges);
+        couplings.extend_from_slice(&edges);
         let angle_sums = angle_sums(input.mesh, options.offsets);
         for sum in &angle_sums {
             let group = sum.angles.as_flattened();
             for (k, &a) in group.iter().enumerate() {
-                pairs.extend(group[..k].iter().map(|&b| [a, b]));
+                couplings.extend(group[..k].iter().map(|&b| [a, b]));
             }
         }
-        let matrix = BlockMatrix::new(count, pairs);
-        let symbolic = SymbolicCholesky::new(matrix.matrix())?;
+        couplings.iter_mut().for_each(|pair| pair.sort_unstable());
+        couplings.sort_unstable();
+        couplings.dedup();
+        let unknowns = Unknowns::new(&is_free, &couplings)?;
         let vertices = input.mesh.vertices.clone();
+        let width = width(&vertices);
         let mut state = Self {
             input,
             reference,
             options,
             edge,
+            width,
             limit,
-            border_limit: limit.min(BORDER_LIMIT * width(&input.mesh.vertices)),
+            border_limit: limit.min(BORDER_LIMIT * width),
             asked: vertices.clone(),
             vertices,
             on_border,
             at_corner: vec![false; count],
-            pinned,
+            is_free,
             feet: vec![],
             anchors: vec![options.anchor; count],
             hold: vec![1.0; count],
@@ -131,8 +145,9 @@ impl<'a> State<'a> {
             edges,
             angle_sums,
             feature_terms: feature_terms(input, options, edge),
-            matrix,
-            symbolic,
+            couplings,
+            unknowns,
+            whole: None,
             rounds: 0,
         };
         if !state.vertices.is_empty() && reference.closest_on_border(&state.vertices[0], None).is_none() {
@@ -180,13 +195,23 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Largest planarity of a face that should be planar, and largest deviation over the limit.
-    pub(super) fn measure(&self) -> (f64, f64) {
-        let mesh = PanelMesh { vertices: self.vertices.clone(), ..self.input.mesh.clone() };
-        let bound = planarity(&mesh).into_iter().zip(&self.freed).filter(|(_, freed)| !**freed);
-        let worst = bound.map(|(p, _)| p).fold(0.0, f64::max);
-        let far = (0..self.vertices.len()).map(|v| self.distance(v)).fold(0.0, f64::max);
-        (worst, far / self.limit)
+    /// Planarity of each face as [`crate::mesh::planarity()`] defines it; 0 for those let off being planar.
+    pub(super) fn planarity(&self) -> Vec<f64> {
+        let length = |&[a, b]: &[u32; 2]| (self.vertices[a as usize] - self.vertices[b as usize]).norm();
+        let mean = self.edges.iter().map(length).sum::<f64>() / self.edges.len() as f64;
+        let of = |(face, freed): (&[u32], &bool)| if *freed { 0.0 } else { out_of_plane(&self.vertices, face) / mean };
+        self.input.mesh.faces().zip(&self.freed).map(of).collect()
+    }
+
+    /// Largest planarity of a face that should be planar and has a corner that moves.
+    pub(super) fn worst_planarity(&self) -> f64 {
+        let moves = self.input.mesh.faces().map(|face| self.unknowns.moves_any(face));
+        self.planarity().into_iter().zip(moves).filter(|(_, moves)| *moves).fold(0.0, |worst, (p, _)| worst.max(p))
+    }
+
+    /// Largest deviation over the limit.
+    pub(super) fn largest_deviation(&self) -> f64 {
+        (0..self.vertices.len()).map(|v| self.distance(v)).fold(0.0, f64::max) / self.limit
     }
 
     /// Distance of a vertex from the reference over what it should not exceed, which is less on the border.
@@ -215,8 +240,31 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Largest of [`State::strains`].
-    pub(super) fn largest_strain(&self) -> f64 {
-        self.strains().into_iter().fold(0.0, f64::max)
+    /// Holds all but the vertices within `rings` faces of `seeds`, unless those are most of the mesh or none. Whether it does.
+    pub(super) fn focus(&mut self, seeds: Vec<bool>, rings: usize) -> Result<bool, Error> {
+        let mut moves = seeds;
+        for _ in 0..rings {
+            let before = moves.clone();
+            for face in self.input.mesh.faces().filter(|face| face.iter().any(|&v| before[v as usize])) {
+                face.iter().for_each(|&v| moves[v as usize] = true);
+            }
+        }
+        moves.iter_mut().zip(&self.is_free).for_each(|(moves, free)| *moves &= free);
+        let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count() as f64;
+        let share = count(&moves) / count(&self.is_free);
+        if !(share > 0.0 && share < LARGEST_PATCH) {
+            return Ok(false);
+        }
+        let patch = Unknowns::new(&moves, &self.couplings)?;
+        let before = std::mem::replace(&mut self.unknowns, patch);
+        self.whole.get_or_insert(before);
+        Ok(true)
+    }
+
+    /// Lets all vertices move again.
+    pub(super) fn widen(&mut self) {
+        if let Some(whole) = self.whole.take() {
+            self.unknowns = whole;
+        }
     }
 }

@@ -47,10 +47,66 @@ impl<F: Fn(&Point3<f64>) -> (Point3<f64>, Vector3<f64>)> Reference for Implicit<
     }
 }
 
-fn run(mesh: &PanelMesh, reference: Option<&dyn Reference>) -> Planarized {
-    let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-    let input = PlanarizeInput { reference, border: &border, polylines: &polylines, ..PlanarizeInput::new(mesh) };
-    planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap()
+/// What to planarize as a host would ask for it: the border held, grid lines fair.
+struct Case<'a> {
+    mesh: &'a PanelMesh,
+    reference: Option<&'a dyn Reference>,
+    border: Vec<u32>,
+    pins: &'a [u32],
+    polylines: Vec<[u32; 3]>,
+    splittable: &'a [u32],
+    feature_lines: &'a [Vec<Point3<f64>>],
+    options: PlanarizeOptions,
+}
+
+impl<'a> Case<'a> {
+    fn new(mesh: &'a PanelMesh) -> Self {
+        Self {
+            mesh,
+            reference: None,
+            border: border_vertices(mesh),
+            pins: &[],
+            polylines: grid_triples(mesh, |_| false),
+            splittable: &[],
+            feature_lines: &[],
+            options: PlanarizeOptions::default(),
+        }
+    }
+
+    fn on(mesh: &'a PanelMesh, reference: &'a dyn Reference) -> Self {
+        Self { reference: Some(reference), ..Self::new(mesh) }
+    }
+
+    /// Nothing held or fair.
+    fn bare(mesh: &'a PanelMesh) -> Self {
+        Self { border: vec![], polylines: vec![], ..Self::new(mesh) }
+    }
+
+    fn input(&self) -> PlanarizeInput<'_> {
+        PlanarizeInput {
+            mesh: self.mesh,
+            reference: self.reference,
+            border: &self.border,
+            pins: self.pins,
+            polylines: &self.polylines,
+            splittable: self.splittable,
+            feature_lines: self.feature_lines,
+            parameters: None,
+        }
+    }
+
+    fn attempt(&self) -> Result<Planarized, Error> {
+        planarize(&self.input(), &self.options, &Control::default())
+    }
+
+    fn run(&self) -> Planarized {
+        self.attempt().unwrap()
+    }
+}
+
+/// The state that a search on `reference` within a tenth starts from.
+fn state<'a>(input: &'a PlanarizeInput<'a>, reference: &'a dyn Reference) -> State<'a> {
+    State::new(input, reference, &PlanarizeOptions::DEFAULT, mean_edge_length(input.mesh), 0.1).unwrap()
 }
 
 fn farthest(a: &PanelMesh, b: &PanelMesh) -> f64 {
@@ -89,28 +145,28 @@ fn saddle(degrees: f64) -> PanelMesh {
 #[test]
 fn a_translational_net_is_left_alone() {
     let mesh = grid(16, 12, translational);
-    let result = run(&mesh, None);
+    let result = Case::new(&mesh).run();
     assert!(farthest(&mesh, &result.mesh) < 1e-9 && result.is_planar && result.is_close);
 }
 
 #[test]
 fn a_shaken_translational_net_becomes_planar() {
     let mesh = shaken(&grid(16, 12, translational), 0.02);
-    let result = run(&mesh, None);
+    let result = Case::new(&mesh).run();
     assert!(result.planarity_max() < 1e-10 && result.is_close && result.rounds < 20, "{}", result.rounds);
 }
 
 #[test]
 fn nets_on_curved_surfaces_become_planar_and_stay_close() {
     let mesh = skew_sphere(16);
-    let result = run(&mesh, Some(&sphere()));
+    let result = Case::on(&mesh, &sphere()).run();
     assert!(planarity(&mesh).into_iter().fold(0.0, f64::max) > 1e-2);
     assert!(result.planarity_max() < 1e-10 && result.is_close && result.rounds < 20);
 
     for degrees in [5.0, 10.0, 20.0] {
         let mesh = saddle(degrees);
         let reference = MeshReference::from_panels(&mesh);
-        let result = run(&mesh, Some(&reference));
+        let result = Case::on(&mesh, &reference).run();
         assert!(result.planarity_max() < 1e-8 && result.is_close, "{degrees}: {}", result.deviation_max());
     }
 }
@@ -119,7 +175,7 @@ fn nets_on_curved_surfaces_become_planar_and_stay_close() {
 fn rulings_of_a_saddle_are_given_up_with_numbers() {
     // All edges asymptotic: no planar net close to the surface has this layout.
     let mesh = saddle(45.0);
-    let result = run(&mesh, None);
+    let result = Case::new(&mesh).run();
     let before = planarity(&mesh).into_iter().fold(0.0, f64::max);
     assert!(result.planarity_max() <= before && result.deviation_max() <= 3.0 * result.deviation_limit);
     assert_eq!(result.is_planar, result.planarity_max() <= 1e-6);
@@ -129,19 +185,57 @@ fn rulings_of_a_saddle_are_given_up_with_numbers() {
 #[test]
 fn newton_converges_quadratically() {
     let mesh = skew_sphere(12);
-    let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-    let input = PlanarizeInput { border: &border, polylines: &polylines, ..PlanarizeInput::new(&mesh) };
-    let options = PlanarizeOptions::default();
-    let reference = sphere();
-    let edge = mean_edge_length(&mesh);
-    let mut state = State::new(&input, &reference, &options, edge, 0.1).unwrap();
-    let mut trace = vec![state.measure().0];
+    let (case, reference) = (Case::new(&mesh), sphere());
+    let input = case.input();
+    let mut state = state(&input, &reference);
+    let mut trace = vec![state.worst_planarity()];
     for _ in 0..8 {
         state.round(Phase::Project, &Control::default()).unwrap();
-        trace.push(state.measure().0);
+        trace.push(state.worst_planarity());
     }
     let fast = trace.windows(2).any(|w| w[0] < 1e-3 && w[0] > 1e-6 && w[1] < 30.0 * w[0] * w[0]);
     assert!(fast && trace[8] < 1e-12, "{trace:?}");
+}
+
+#[test]
+fn a_patch_becomes_planar_alone() {
+    let mesh = skew_sphere(16);
+    let (case, reference, control) = (Case::new(&mesh), sphere(), Control::default());
+    let input = case.input();
+    let mut state = state(&input, &reference);
+    (0..6).for_each(|_| _ = state.round(Phase::Project, &control).unwrap());
+    let middle = 8 * 17 + 8;
+    state.vertices[middle] += Vector3::new(0.01, 0.02, -0.03);
+    let before = state.vertices.clone();
+    let mut seeds = vec![false; before.len()];
+    seeds[middle] = true;
+    // Within three faces of it are 7 x 7 vertices; all of the mesh is no patch.
+    assert!(!state.focus(seeds.clone(), 9).unwrap() && state.focus(seeds, 3).unwrap());
+    assert_eq!(state.unknowns.vertices().len(), 49);
+    (0..6).for_each(|_| _ = state.round(Phase::Project, &control).unwrap());
+    for (v, (p, q)) in before.iter().zip(&state.vertices).enumerate() {
+        assert_eq!(p == q, !state.unknowns.moves(v as u32), "{v}");
+    }
+    state.widen();
+    assert!(state.unknowns.vertices().len() == 17 * 17 && state.worst_planarity() < 1e-12);
+}
+
+#[test]
+fn the_search_ends_as_fair_as_a_hundred_rounds_do() {
+    let place = |s: f64, t: f64| [8.0 * s, 8.0 * t, (3.0 * s).sin() + 0.8 * (4.0 * s * t).cos()];
+    let mesh = grid(8, 8, place);
+    // As far from the surface as it likes: no weight grows.
+    let options = PlanarizeOptions { deviation: Some(8.0), ..PlanarizeOptions::default() };
+    let case = Case { border: vec![], options, ..Case::new(&mesh) };
+    let (input, reference, control) = (case.input(), MeshReference::from_panels(&mesh), Control::default());
+    let mut longest = state(&input, &reference);
+    (0..100).for_each(|_| _ = longest.round(Phase::Balance, &control).unwrap());
+    let bends = |vertices: &[Point3<f64>]| -> f64 {
+        let change = |v: u32| vertices[v as usize] - mesh.vertices[v as usize];
+        case.polylines.iter().map(|&[a, b, c]| (change(a) - change(b) * 2.0 + change(c)).norm_squared()).sum()
+    };
+    let (before, after) = (bends(&longest.vertices), bends(&case.run().mesh.vertices));
+    assert!(before > 1e-3 && after < 1.1 * before, "{before} {after}");
 }
 
 #[test]
@@ -171,19 +265,11 @@ fn face_equations_match_finite_differences_on_planar_faces() {
 #[test]
 fn soft_gradient_matches_finite_differences() {
     let mesh = grid(4, 3, translational);
-    let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
-    let line = [0.2, 0.45, 0.8].map(|s| Point3::from(translational(s, 0.3 + 0.2 * s))).to_vec();
-    let input = PlanarizeInput {
-        border: &border,
-        pins: &[7],
-        polylines: &polylines,
-        feature_lines: &[line],
-        ..PlanarizeInput::new(&mesh)
-    };
-    let options = PlanarizeOptions::default();
-    let reference = MeshReference::from_panels(&mesh);
+    let lines = [[0.2, 0.45, 0.8].map(|s| Point3::from(translational(s, 0.3 + 0.2 * s))).to_vec()];
+    let case = Case { pins: &[7], feature_lines: &lines, ..Case::new(&mesh) };
+    let (input, options, reference) = (case.input(), &case.options, MeshReference::from_panels(&mesh));
     let edge = mean_edge_length(&mesh);
-    let mut state = State::new(&input, &reference, &options, edge, 0.1).unwrap();
+    let mut state = state(&input, &reference);
     assert_eq!(state.feature_terms.len(), 2);
     state.vertices = shaken(&mesh, 0.05).vertices;
     state.vertices[7] = mesh.vertices[7];
@@ -205,7 +291,7 @@ fn soft_gradient_matches_finite_differences() {
             let length = (mesh.vertices[a as usize] - mesh.vertices[b as usize]).norm() / edge;
             sum += options.stretch * ((change(b) - change(a)) / length.min(1.0)).norm_squared();
         }
-        for &[a, b, c] in &polylines {
+        for &[a, b, c] in &case.polylines {
             sum += options.fairness * (change(a) - change(b) * 2.0 + change(c)).norm_squared();
         }
         for term in &state.feature_terms {
@@ -227,7 +313,7 @@ fn soft_gradient_matches_finite_differences() {
             state.vertices[v] = start;
             // The energy is a sum of squares without the factor one half, its unit is the mean edge.
             let difference = (above - below) / (2.0 * h) * edge / 2.0;
-            assert!((difference - gradient[3 * v + axis]).abs() < 1e-6 * (1.0 + difference.abs()));
+            assert!((difference - gradient[v][axis]).abs() < 1e-6 * (1.0 + difference.abs()));
         }
     }
 }
@@ -237,16 +323,15 @@ fn a_single_quad_ends_on_its_best_plane() {
     let h = 0.1;
     let vertices = [[1.0, 0.0, h], [0.0, 1.0, -h], [-1.0, 0.0, h], [0.0, -1.0, -h]].map(Point3::from).to_vec();
     let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
-    let input = PlanarizeInput::new(&mesh);
     let options = PlanarizeOptions { closeness: 0.0, deviation: Some(1.0), ..PlanarizeOptions::default() };
-    let result = planarize(&input, &options, &Control::default()).unwrap();
+    let result = Case { options, ..Case::bare(&mesh) }.run();
     assert!(result.mesh.vertices.iter().all(|p| p.z.abs() < 1e-9 && (p.coords.xy().norm() - 1.0).abs() < 1e-3));
 }
 
 #[test]
 fn the_answer_follows_motion_scale_and_renumbering() {
     let mesh = skew_sphere(6);
-    let expected = run(&mesh, Some(&sphere())).mesh;
+    let expected = Case::on(&mesh, &sphere()).run().mesh;
 
     let motion = Translation3::new(30.0, -7.0, 2.0) * Rotation3::from_euler_angles(0.3, 1.0, -2.0);
     let count = mesh.vertices.len() as u32;
@@ -257,7 +342,7 @@ fn the_answer_follows_motion_scale_and_renumbering() {
         let n = (p - center).normalize();
         (center + n * 200.0, n)
     });
-    let result = run(&PanelMesh::new(moved, &faces).unwrap(), Some(&moved_sphere)).mesh;
+    let result = Case::on(&PanelMesh::new(moved, &faces).unwrap(), &moved_sphere).run().mesh;
     for (p, q) in expected.vertices.iter().rev().zip(&result.vertices) {
         assert!((motion * (p * 40.0) - q).norm() < 40.0 * 1e-6, "{}", (motion * (p * 40.0) - q).norm());
     }
@@ -273,17 +358,9 @@ fn offsets_are_approached_without_giving_up_planarity() {
     });
     let reference = MeshReference::from_panels(&mesh);
     let mesh = shaken(&mesh, 0.01);
-    let border = border_vertices(&mesh);
-    let polylines = grid_triples(&mesh, |_| false);
-    let input = PlanarizeInput {
-        reference: Some(&reference),
-        border: &border,
-        polylines: &polylines,
-        ..PlanarizeInput::new(&mesh)
-    };
     let try_with = |offsets| {
         let options = PlanarizeOptions { offsets, ..PlanarizeOptions::default() };
-        planarize(&input, &options, &Control::default()).unwrap()
+        Case { options, ..Case::on(&mesh, &reference) }.run()
     };
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
     let (any, circular, conical) =
@@ -299,17 +376,8 @@ fn offsets_are_approached_without_giving_up_planarity() {
 #[test]
 fn pins_hold_exactly() {
     let mesh = skew_sphere(8);
-    let (border, polylines) = (border_vertices(&mesh), grid_triples(&mesh, |_| false));
     let pins = [0, 8, 40, 72, 80];
-    let reference = sphere();
-    let input = PlanarizeInput {
-        reference: Some(&reference),
-        border: &border,
-        pins: &pins,
-        polylines: &polylines,
-        ..PlanarizeInput::new(&mesh)
-    };
-    let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+    let result = Case { pins: &pins, ..Case::on(&mesh, &sphere()) }.run();
     assert!(result.planarity_max() < 1e-10);
     for v in pins {
         assert_eq!(mesh.vertices[v as usize], result.mesh.vertices[v as usize]);
@@ -319,7 +387,7 @@ fn pins_hold_exactly() {
 #[test]
 fn border_vertices_stay_on_the_border() {
     let mesh = saddle(10.0);
-    let result = run(&mesh, None);
+    let result = Case::new(&mesh).run();
     assert!(result.is_planar && result.is_close);
     let reference = MeshReference::from_panels(&mesh);
     for v in border_vertices(&mesh) {
@@ -358,7 +426,7 @@ fn larger_polygons_become_planar() {
         }
     }
     let mesh = shaken(&PanelMesh::new(vertices, &faces).unwrap(), 0.01);
-    let result = run(&mesh, Some(&sphere()));
+    let result = Case::on(&mesh, &sphere()).run();
     assert!(planarity(&mesh).into_iter().fold(0.0, f64::max) > 1e-2);
     assert!(result.planarity_max() < 1e-10 && result.is_close, "{:?}", result.planarity_max());
 }
@@ -367,12 +435,12 @@ fn larger_polygons_become_planar() {
 fn hopeless_pins_give_a_result_with_numbers() {
     let vertices = [[1.0, 0.0, 0.3], [0.0, 1.0, -0.3], [-1.0, 0.0, 0.3], [0.0, -1.0, -0.3]];
     let mesh = PanelMesh::new(vertices.map(Point3::from).to_vec(), &[[0u32, 1, 2, 3]]).unwrap();
-    let input = PlanarizeInput { pins: &[0, 1, 2, 3], ..PlanarizeInput::new(&mesh) };
-    let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+    let pinned = Case { pins: &[0, 1, 2, 3], ..Case::bare(&mesh) };
+    let result = pinned.run();
     assert!(!result.is_planar && result.mesh == mesh);
     // As a last resort it may become triangles.
     let options = PlanarizeOptions { split_beyond: Some(1e-4), ..PlanarizeOptions::default() };
-    let result = planarize(&input, &options, &Control::default()).unwrap();
+    let result = Case { options, ..pinned }.run();
     assert!(result.is_planar && result.mesh.face_count() == 2 && result.split == [0]);
     assert_eq!(result.mesh.vertices, mesh.vertices);
 }
@@ -384,16 +452,7 @@ fn edges_turn_along_feature_lines() {
     let line = (0..=40).map(|k| 0.1 + 0.02 * f64::from(k));
     let lines = [line.map(|s| Point3::new(s, 0.4 + 0.12 * s, 0.2 * s * s)).collect::<Vec<_>>()];
     let reference = MeshReference::from_panels(&mesh);
-    let polylines = grid_triples(&mesh, |_| false);
-    let border = border_vertices(&mesh);
-    let input = PlanarizeInput {
-        reference: Some(&reference),
-        border: &border,
-        polylines: &polylines,
-        feature_lines: &lines,
-        ..PlanarizeInput::new(&mesh)
-    };
-    let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+    let result = Case { feature_lines: &lines, ..Case::on(&mesh, &reference) }.run();
     let angle = |mesh: &PanelMesh| {
         let [sum, length] = feature_angle(&lines, mesh);
         sum / length
@@ -425,26 +484,16 @@ impl Reference for FallingCorner {
 fn corners_of_the_border_do_not_slide_along_a_side() {
     let vertices = [[0.0, 0.0, 0.3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]].map(Point3::from).to_vec();
     let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
-    let input = PlanarizeInput {
-        reference: Some(&FallingCorner),
-        border: &[0],
-        pins: &[1, 2, 3],
-        ..PlanarizeInput::new(&mesh)
-    };
     let options = PlanarizeOptions { deviation: Some(1.0), ..PlanarizeOptions::default() };
-    let result = planarize(&input, &options, &Control::default()).unwrap();
+    let (reference, border) = (Some(&FallingCorner as _), vec![0]);
+    let result = Case { reference, border, pins: &[1, 2, 3], options, ..Case::bare(&mesh) }.run();
     let p = result.mesh.vertices[0];
     assert!(result.is_planar && p.coords.norm() < 0.05, "{p}");
 }
 
 #[test]
 fn degenerate_input_gives_an_error_or_a_finite_mesh() {
-    let options = PlanarizeOptions::default();
-    let try_on = |mesh: &PanelMesh| {
-        let (border, polylines) = (border_vertices(mesh), grid_triples(mesh, |_| false));
-        let input = PlanarizeInput { border: &border, polylines: &polylines, ..PlanarizeInput::new(mesh) };
-        planarize(&input, &options, &Control::default())
-    };
+    let try_on = |mesh: &PanelMesh| Case::new(mesh).attempt();
     let good = grid(3, 3, translational);
     let mut collapsed = good.clone();
     collapsed.vertices[5] = collapsed.vertices[6];
@@ -466,10 +515,10 @@ fn degenerate_input_gives_an_error_or_a_finite_mesh() {
 
     let control = Control::default();
     control.cancel();
-    let input = PlanarizeInput::new(&good);
-    assert_eq!(planarize(&input, &options, &control).unwrap_err(), Error::Cancelled);
-    let input = PlanarizeInput { pins: &[99], ..input };
-    assert!(matches!(planarize(&input, &options, &Control::default()), Err(Error::Degenerate { .. })));
+    let case = Case { pins: &[99], ..Case::new(&good) };
+    assert!(matches!(case.attempt(), Err(Error::Degenerate { .. })));
+    let input = PlanarizeInput { pins: &[], ..case.input() };
+    assert_eq!(planarize(&input, &case.options, &control).unwrap_err(), Error::Cancelled);
 }
 
 /// A heightfield z = f(x, y) trimmed by the circle of radius `radius`, cells of a grid turned by `degrees`, cut off at the circle.
@@ -566,15 +615,8 @@ fn turned_faces(before: &PanelMesh, after: &[Point3<f64>]) -> usize {
 fn a_net_near_the_rulings_of_a_saddle_becomes_planar_without_turning_faces() {
     let f = |x: f64, y: f64| (x * x - y * y) / 8.0;
     let (mesh, border) = trimmed(f, 4.0, 0.45, 40.0);
-    let polylines = grid_triples(&mesh, |_| false);
-    let input = PlanarizeInput {
-        reference: Some(&Trimmed(f, 4.0)),
-        border: &border,
-        polylines: &polylines,
-        ..PlanarizeInput::new(&mesh)
-    };
     let options = PlanarizeOptions { allowance: 10.0, ..PlanarizeOptions::default() };
-    let result = planarize(&input, &options, &Control::default()).unwrap();
+    let result = Case { border, options, ..Case::on(&mesh, &Trimmed(f, 4.0)) }.run();
     assert!(result.planarity_max() < 1e-10, "{:.1e}", result.planarity_max());
     assert_eq!(turned_faces(&mesh, &result.mesh.vertices), 0);
 }
@@ -597,19 +639,14 @@ fn a_cell_that_could_only_turn_over_is_split_where_it_may_be() {
     // Its last corner would have to slide down the border to (0, -2, 0).
     let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.3]].map(Point3::from).to_vec();
     let mesh = PanelMesh::new(vertices, &[[0u32, 1, 2, 3]]).unwrap();
-    let input = PlanarizeInput {
-        reference: Some(&SlantedBorder),
-        border: &[3],
-        pins: &[0, 1, 2],
-        splittable: &[0],
-        ..PlanarizeInput::new(&mesh)
-    };
     let options = PlanarizeOptions { border: 1e7, ..PlanarizeOptions::default() };
-    let result = planarize(&input, &options, &Control::default()).unwrap();
+    let (reference, border) = (Some(&SlantedBorder as _), vec![3]);
+    let case = Case { reference, border, pins: &[0, 1, 2], splittable: &[0], options, ..Case::bare(&mesh) };
+    let result = case.run();
     assert_eq!((result.mesh.face_count(), result.split.as_slice()), (2, [0u32].as_slice()));
     assert!(result.is_planar && result.is_close && turned_faces(&mesh, &result.mesh.vertices) == 0);
 
-    let whole = planarize(&PlanarizeInput { splittable: &[], ..input }, &options, &Control::default()).unwrap();
+    let whole = Case { splittable: &[], ..case }.run();
     assert!(whole.mesh.face_count() == 1 && !whole.is_planar && whole.planarity_max() > 0.1);
     assert_eq!(turned_faces(&mesh, &whole.mesh.vertices), 0);
 }
@@ -627,14 +664,7 @@ fn trimmed_cells_become_planar_on_the_border_too() {
         let (mesh, border) = trimmed(f, 4.0, 0.45, degrees);
         assert!(mesh.faces().any(|f| f.len() == 5) && mesh.faces().any(|f| f.len() == 3));
         let reference = Trimmed(f, 4.0);
-        let polylines = grid_triples(&mesh, |_| false);
-        let input = PlanarizeInput {
-            reference: Some(&reference),
-            border: &border,
-            polylines: &polylines,
-            ..PlanarizeInput::new(&mesh)
-        };
-        let result = planarize(&input, &PlanarizeOptions::default(), &Control::default()).unwrap();
+        let result = Case { border: border.clone(), ..Case::on(&mesh, &reference) }.run();
         assert!(result.planarity_max() < 1e-10 && result.is_close, "{:.1e}", result.planarity_max());
         // Border vertices within 1e-3 of the width.
         assert!(border.iter().all(|&v| result.deviation[v as usize] < 8e-3));
