@@ -13,6 +13,7 @@ mod layer_map;
 mod nurbs;
 mod ray;
 mod refine;
+mod sheet;
 mod silhouette;
 #[cfg(test)]
 mod synthetic;
