@@ -105,6 +105,11 @@ impl<'a> Sheet<'a> {
         sheet
     }
 
+    /// The vertex of a pixel on a layer, if the layer is there.
+    pub(super) fn vertex(&self, layer: usize, pixel: usize) -> Option<u32> {
+        Some(self.vertices[layer][pixel]).filter(|&vertex| vertex != NONE)
+    }
+
     fn exists(&self, layer: usize, pixel: usize) -> bool {
         self.maps[layer].valid[pixel]
     }
