@@ -4,7 +4,9 @@ use crate::control::Control;
 use crate::error::Error;
 use crate::infer::{DepthPrediction, LayerPrediction, NET_SIZE, Networks, SketchMaps};
 use crate::sketch::{CANVAS_HALF_WIDTH, Layer, MAP_SIZE, PatchSketch};
-use crate::surface::{BorderCurves, LayerMap, LayerMaps, NurbsSurface, SurfaceTargets, coons_net, unfolded_surface};
+use crate::surface::{
+    BorderCurves, LayerMap, LayerMaps, NurbsSurface, SurfaceTargets, coons_net, reconciled_maps, unfolded_surface,
+};
 use nalgebra::{Point3, Vector3};
 
 /// BSR-Net's own answer, canonical frame: the Coons patch of the border curves, moved by what the network predicts.
@@ -42,8 +44,10 @@ pub(crate) fn unrefined_surfaces(
     depths: &DepthPrediction,
     control: &Control,
 ) -> Result<[NurbsSurface; 2], Error> {
-    let (targets, curves) = targets(patch, None, depths)?;
-    Ok([network_surface(networks, maps, depths, &curves, control)?, unfolded_surface(&targets, &curves, 1.0)?])
+    let (drawn, curves) = drawn_targets(patch, None, depths)?;
+    let network = network_surface(networks, maps, depths, &curves, control)?;
+    let (targets, curves) = reconciled(drawn, curves)?;
+    Ok([network, unfolded_surface(&targets, &curves, 1.0)?])
 }
 
 /// What the surface has to obey, and its border in space.
@@ -52,8 +56,27 @@ pub(super) fn targets(
     corners: Option<[[f64; 2]; 4]>,
     depths: &DepthPrediction,
 ) -> Result<(SurfaceTargets, BorderCurves), Error> {
+    let (targets, curves) = drawn_targets(patch, corners, depths)?;
+    reconciled(targets, curves)
+}
+
+/// The same with the maps as the networks leave them.
+fn drawn_targets(
+    patch: &PatchSketch,
+    corners: Option<[[f64; 2]; 4]>,
+    depths: &DepthPrediction,
+) -> Result<(SurfaceTargets, BorderCurves), Error> {
     let maps = LayerMaps { visible: layer_map(depths, Layer::Visible)?, occluded: layer_map(depths, Layer::Occluded)? };
     let targets = SurfaceTargets::new(patch, corners, maps)?;
+    let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [NET_SIZE; 2])?;
+    Ok((targets, curves))
+}
+
+/// Targets whose layers agree, see [`reconciled_maps`], and their border.
+fn reconciled(mut targets: SurfaceTargets, curves: BorderCurves) -> Result<(SurfaceTargets, BorderCurves), Error> {
+    let SurfaceTargets { border, contours, samples, maps, .. } = &targets;
+    let Some(maps) = reconciled_maps(border, &curves, contours, samples, maps)? else { return Ok((targets, curves)) };
+    targets.maps = maps;
     let curves = BorderCurves::new(&targets.border, targets.corners, &targets.maps, [NET_SIZE; 2])?;
     Ok((targets, curves))
 }

@@ -2,14 +2,18 @@
 
 use super::border::BorderCurves;
 use super::nurbs::NurbsSurface;
-use super::refine::{RefineOptions, Refined, Refiner};
+use super::refine::{RefineOptions, RefineReport, Refined, Refiner};
 use super::targets::SurfaceTargets;
 use super::unfold::unfolded_net;
 use crate::control::Control;
 use crate::error::Error;
 
-/// Smoothness of the second start of a surface that folds over.
+/// Smoothness of the second start of a surface that does not obey.
 const SMOOTHER: f64 = 10.0;
+/// Largest mean miss of the contours that stands, pixels of the 256 canvas: what is asked of the strokes.
+const CONTOUR_MISS_PX: f64 = 0.5;
+/// Largest miss of a depth sample that stands, canonical units: a hundredth of the depth range of a usual patch.
+const SAMPLE_MISS: f64 = 0.06;
 
 /// The layer maps, meeting the depth samples, as one sheet; `smoothness` as [`unfolded_net`] has it.
 ///
@@ -26,7 +30,7 @@ pub fn unfolded_surface(
 }
 
 /// Surface that obeys `targets`: the unfolded maps, or the targets' other guess if that begins with less energy, refined; where it folds
-/// over, once more from smoother unfolded maps, and the better of the two.
+/// over, or misses contours or depth samples, once more from smoother unfolded maps, and the better of the two.
 ///
 /// - `curves`: the border in space, made of the targets' border, corners and maps.
 ///
@@ -43,11 +47,17 @@ pub fn fit(
     let (mut refiner, mut starts) = (refiner?, vec![unfolded?]);
     starts.extend(targets.guess.clone());
     let refined = refiner.run_best(&starts, control)?;
-    if refined.report.folds == 0 || options.iterations == 0 {
+    if faults(&refined.report) == (0, 0.0) || options.iterations == 0 {
         return Ok(refined);
     }
     // Parameter lines that jam in the start seldom come apart; in a smoother one they run more evenly.
     let smoother = unfolded_surface(targets, curves, SMOOTHER)?;
     let again = refiner.run_best(&[smoother], control)?;
-    Ok(if again.report.folds < refined.report.folds { again } else { refined })
+    Ok(if faults(&again.report) < faults(&refined.report) { again } else { refined })
+}
+
+/// Fold-overs, and by how many times what is asked contours and depth samples are missed beyond it.
+fn faults(report: &RefineReport) -> (usize, f64) {
+    let beyond = |miss: f64, asked: f64| (miss / asked - 1.0).max(0.0);
+    (report.folds, beyond(report.contour_px[0], CONTOUR_MISS_PX) + beyond(report.sample_residual, SAMPLE_MISS))
 }

@@ -12,7 +12,9 @@ mod knots;
 mod layer_map;
 mod nurbs;
 mod ray;
+mod reconcile;
 mod refine;
+mod sheet;
 mod silhouette;
 #[cfg(test)]
 mod synthetic;
@@ -33,6 +35,7 @@ pub use knots::{Basis, KnotVector, MAX_DEGREE};
 pub use layer_map::{LayerMap, MapSample, MapSide};
 pub use nurbs::{NurbsSurface, SurfacePoint};
 pub use ray::{RayCaster, RayHit};
+pub use reconcile::reconciled_maps;
 pub use refine::{RefineOptions, RefineReport, Refined, refine, refine_best};
 pub use targets::{LayerSample, SurfaceTargets};
 pub use tessellate::SurfaceMesh;

@@ -57,6 +57,16 @@ pub fn vault() -> NurbsSurface {
     })
 }
 
+/// A sheet that rises at the back, turns over and hangs down in front of itself: below its free edge what it hides comes to light.
+pub fn breaker() -> NurbsSurface {
+    surface(|s, t| {
+        let angle = 2.0 + 3.4 * s;
+        let x = (7.4 * t - 3.7) * (1.0 + 0.05 * angle.sin());
+        let radius = 3.0 + 0.35 * (0.8 * x).cos() + 0.1 * x;
+        [x, -radius * angle.cos() - 0.6, -7.0 + 1.3 * radius * angle.sin()]
+    })
+}
+
 pub fn scene(truth: NurbsSurface) -> Scene {
     let mesh = SurfaceMesh::new(&truth, [160, 160]).unwrap();
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];

@@ -32,8 +32,8 @@ pub struct SurfaceTargets {
     pub samples: Vec<LayerSample>,
     /// Depth and normals of both layers.
     pub maps: LayerMaps,
-    /// Another guess of the whole surface, where there is one: on the knots of the start, its border by the same parameters. Its depth
-    /// counts beside the maps'.
+    /// Another guess of the whole surface, where there is one: on the knots of the start, its border by the same parameters. It
+    /// counts beside the maps.
     pub guess: Option<NurbsSurface>,
 }
 

@@ -73,9 +73,12 @@ const EVENNESS_WEIGHT: f64 = 3e-3;
 const EVENNESS_DEPTH_WEIGHT: f64 = 1e-5;
 /// Closeness to the start, mean squared displacement.
 const CLOSENESS_WEIGHT: f64 = 1e-4;
-/// Depth against another guess of the surface, at the same parameters, mean squared: as much as the maps' depth. Where the errors of two
-/// guesses have little to do with each other, the middle is better than both.
+/// Another guess of the surface, at the same parameters: mean squared distance, as much as the maps' depth. On 300 held-out sketches the
+/// errors of BSR-Net's surface and of the refined one (guess at its depth alone) correlate by 0.99 in level, tilt and scale and by 0.91 in the
+/// rest: their best mixture would lower D_c by 1.5 %, and what a guess gains is that few cases get worse.
 const GUESS_WEIGHT: f64 = 1.0;
+/// The same for its tangents, integrals of the squared slopes of the difference over the unit square: about twice what the maps' normals count.
+const GUESS_SLOPE_WEIGHT: f64 = 3e-3;
 /// Factor on the evenness in the first step; each later step divides it by 8.
 const FIRST_STIFFNESS: f64 = 64.0;
 /// Gauss-Newton steps beyond the host's number that are taken where folds remain.
@@ -92,7 +95,7 @@ const CONVERGED: f64 = 2e-2;
 /// tangent-plane distance to the depth maps (orientation decides the layer), angles to their normals, the side that faces the
 /// viewer where the sketch draws one side alone, distance of the
 /// border to its strokes and corners, distance of the silhouette to the contour strokes, depth samples on their lines of
-/// sight, the depth of another guess if there is one, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
+/// sight, another guess of the surface if there is one, the third derivatives of the surface, unevenness of the parametrization, and the distance from the start.
 /// Steps are accepted only if the energy falls, and where folds remain the side that the sketch shows counts more and more:
 /// of all steps the last with the fewest folds is the result, so it is never worse than the start.
 ///
@@ -159,7 +162,7 @@ pub(super) struct Refiner<'a> {
     fairness: [Banded; 2],
     /// Evenness and closeness, for x and y, and for z.
     evenness: [[Banded; 2]; 2],
-    /// The other guess: z of its net.
+    /// The other guess: its net.
     guess: Option<Vec<f64>>,
     guessed: [Banded; 2],
     /// Factor on evenness: high in the first steps, and where the parametrization would fold.
@@ -235,8 +238,11 @@ impl<'a> Refiner<'a> {
         let closeness = CLOSENESS_WEIGHT * options.closeness;
         let evenness = [EVENNESS_WEIGHT, EVENNESS_DEPTH_WEIGHT]
             .map(|weight| [0, 1].map(|axis: usize| &slope[axis] * weight + &mass[axis] * (0.5 * closeness)));
-        let share = if targets.guess.is_some() { 0.5 * GUESS_WEIGHT } else { 0.0 };
-        let guessed = mass.each_ref().map(|mass| mass * share);
+        let guessed = if targets.guess.is_some() {
+            [0, 1].map(|axis: usize| &mass[axis] * (0.5 * GUESS_WEIGHT) + &slope[axis] * GUESS_SLOPE_WEIGHT)
+        } else {
+            mass.each_ref().map(|mass| mass * 0.0)
+        };
         // The preconditioner sees mean directions: in x and y borders act half, depth a fifth; in z depth acts mostly.
         let preconditioner = [(0.2, 0.5 * BORDER_WEIGHT, 0.2), (0.6, 0.1, 0.6)].map(|(depth, border, normal)| {
             let part = usize::from(border < 1.0);
@@ -248,8 +254,10 @@ impl<'a> Refiner<'a> {
                 matrix
             });
             let stiffness = [0, 1].map(|axis: usize| {
-                let level = &guessed[axis] * part as f64;
-                &fairness[axis] + &evenness[part][axis] + level + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
+                &fairness[axis]
+                    + &evenness[part][axis]
+                    + &guessed[axis]
+                    + &slope[axis] * (NORMAL_WEIGHT * normal * 0.02)
             });
             FastDiagonal::new([&stiffness[0], &stiffness[1]], [&bordered[0], &bordered[1]], depth)
                 .expect("mass matrices of B-splines are positive definite")
@@ -279,7 +287,7 @@ impl<'a> Refiner<'a> {
             contours: vec![],
             start: vec![],
         };
-        refiner.guess = targets.guess.as_ref().map(|guess| refiner.heights(guess)).transpose()?;
+        refiner.guess = targets.guess.as_ref().map(|guess| refiner.net_of(guess)).transpose()?;
         refiner.stiffen(1.0);
         refiner.contours = targets
             .contours
@@ -335,21 +343,21 @@ impl<'a> Refiner<'a> {
         self.regularity = [0, 1].map(|part: usize| {
             [0, 1].map(|axis: usize| {
                 let smooth = self.fairness[axis].plus(&self.evenness[part][axis], stiffness);
-                smooth.plus(&self.guessed[axis], part as f64)
+                smooth.plus(&self.guessed[axis], 1.0)
             })
         });
     }
 
-    /// z of the net of another guess.
+    /// The net of another guess.
     ///
     /// Not moved to the depth samples: where two of them lie close together an interpolation of their differences swings out far.
-    fn heights(&self, guess: &NurbsSurface) -> Result<Vec<f64>, Error> {
+    fn net_of(&self, guess: &NurbsSurface) -> Result<Vec<f64>, Error> {
         if guess.knots() != &self.knots || guess.weights().is_some() {
             return Err(Error::Nurbs {
                 reason: "another guess of the surface is on other knots than the start".into(),
             });
         }
-        Ok(guess.control_points().iter().map(|p| p.z).collect())
+        Ok(planes_of(guess))
     }
 
     fn run(&mut self, control: &Control) -> Result<Refined, Error> {

@@ -239,13 +239,16 @@ impl Refiner<'_> {
             add(&mut gradient[c * n..(c + 1) * n], &product);
         }
         if let Some(guess) = &self.guess {
-            for (d, (now, guess)) in difference.iter_mut().zip(net[2 * n..].iter().zip(guess)) {
-                *d = now - guess;
+            for c in 0..3 {
+                let part = c * n..(c + 1) * n;
+                for (d, (now, guess)) in difference.iter_mut().zip(net[part.clone()].iter().zip(&guess[part.clone()])) {
+                    *d = now - guess;
+                }
+                product.fill(0.0);
+                self.add_tensor(&self.guessed, &difference, &mut product, &mut scratch);
+                energy += dot(&difference, &product);
+                add(&mut gradient[part], &product);
             }
-            product.fill(0.0);
-            self.add_tensor(&self.guessed, &difference, &mut product, &mut scratch);
-            energy += dot(&difference, &product);
-            add(&mut gradient[2 * n..], &product);
         }
         model.energy = if energy.is_nan() { f64::INFINITY } else { energy };
         model.gradient = gradient;
