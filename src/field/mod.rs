@@ -8,6 +8,7 @@ mod conjugate_field;
 mod integrate;
 mod lift;
 mod map_elements;
+mod map_sizes;
 mod map_system;
 mod map_unknowns;
 mod matching;
