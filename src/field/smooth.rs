@@ -56,6 +56,9 @@ pub struct FieldOptions {
     pub parallel_reach: f64,
     /// Whether a family follows the border along the sides u = min, u = max, v = min, v = max, as a hard constraint.
     pub aligned_sides: [bool; 4],
+    /// Length of the edges of the panels that are to come, in the unit of the mesh: where such a side turns by more than 45 degrees between the
+    /// chords of that length before and after a vertex, panels have a corner there. 0: the square root of a 500th of the area.
+    pub panel_length: f64,
     /// Most Gauss-Newton iterations.
     pub iterations: usize,
 }
@@ -72,6 +75,7 @@ impl Default for FieldOptions {
             parallel_weight: 0.0,
             parallel_reach: 0.075,
             aligned_sides: [false; 4],
+            panel_length: 0.0,
             iterations: 30,
         }
     }
@@ -91,6 +95,7 @@ impl FieldOptions {
             ("conjugacy_weight", self.conjugacy_weight),
             ("parallel_weight", self.parallel_weight),
             ("parallel_reach", self.parallel_reach),
+            ("panel_length", self.panel_length),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return fail(name, value, "a finite number that is not negative");
@@ -176,7 +181,11 @@ fn solve(
     }
     control.step("field", 0.0)?;
     let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles)?;
-    let corners = corners(&mesh, &edges, &options.aligned_sides);
+    let window = match options.panel_length {
+        0.0 => (mesh.area() / DEFAULT_PANELS).sqrt(),
+        length => length,
+    };
+    let corners = corners(&mesh, &edges, &options.aligned_sides, window);
     if let Some(fixed) = fixed {
         prescribe::check(&mesh, &edges, &options.aligned_sides, &corners, fixed)?;
     }
@@ -1187,6 +1196,8 @@ struct Finished {
     diagnostics: FieldDiagnostics,
 }
 
+/// Panels of a mesh, unless the options give their length.
+const DEFAULT_PANELS: f64 = 500.0;
 /// Weight of a hard constraint in the initial system, edges weighing about 1.
 const HARD_WEIGHT: f64 = 1e3;
 /// Rounds of the initial system.
