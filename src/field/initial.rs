@@ -43,7 +43,9 @@ impl Problem<'_> {
     }
 
     /// The smoothest coefficient p = exp(4 i bisector) under everything that attracts bisectors, then the conjugate crosses that have them.
-    pub fn initial(&self, control: &Control) -> Result<Vec<Cross>, Error> {
+    ///
+    /// - `system`: empty, of two unknowns on each triangle.
+    pub fn initial(&self, system: &mut TriangleSystem, control: &Control) -> Result<Vec<Cross>, Error> {
         let count = self.freedom.len();
         let fourfold = |m: f64| Complex::from_polar(1.0, 4.0 * m);
         // Weight and weighted sum of what attracts p, but for the pins; weight and place of the pins.
@@ -74,7 +76,6 @@ impl Problem<'_> {
             attraction[t].0 += weight;
             attraction[t].1 += fourfold(cross.bisector) * weight;
         }
-        let mut system = TriangleSystem::new(self.edges, (0..count).map(|_| 2))?;
         for t in 0..count {
             // The tiny rest keeps a surface without any attraction (a plane) solvable.
             let weight = attraction[t].0 + pins[t].0 + 1e-9;

@@ -8,6 +8,7 @@ use super::matching::Cross;
 use super::problem::{Conjugacy, Problem};
 use super::smooth::{DirectionConstraint, FieldOptions};
 use super::smoothness::edge_weights;
+use super::system::TriangleSystem;
 use super::topology::{EdgeTopology, TriangleFrames};
 use crate::control::Control;
 use crate::error::Error;
@@ -63,17 +64,20 @@ pub(super) fn layout(
     };
     let problem = Problem::new(patch, Conjugacy::Soft, guess, constraints, &weighed)?;
     if base {
-        let crosses = problem.initial(control)?;
+        let mut system = TriangleSystem::new(patch.edges, patch.mesh.triangles.iter().map(|_| 2))?;
+        let crosses = problem.initial(&mut system, control)?;
         control.step("field", 0.3)?;
+        if problem.freedom.iter().any(|f| f.unknowns() != 2) {
+            system = problem.system()?;
+        }
         let (crosses, jumps, iterations) = match fixed {
             Some(fixed) => {
                 let jumps = problem.prescribed_jumps(&crosses, fixed);
                 let most = options.iterations;
-                let (crosses, spent) =
-                    problem.optimize(&mut problem.system()?, crosses, Some(&jumps), most, control)?;
+                let (crosses, spent) = problem.optimize(&mut system, crosses, Some(&jumps), most, control)?;
                 (crosses, jumps, spent)
             }
-            None => problem.settle(crosses, control)?,
+            None => problem.settle(&mut system, crosses, control)?,
         };
         let singularities = problem.singularities(&crosses, &jumps);
         return Ok(Layout { crosses, jumps, singularities, iterations });

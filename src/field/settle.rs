@@ -25,14 +25,18 @@ impl Problem<'_> {
     /// Moving the charges of the singularities together, or over the border, by quarter turns across the edges of paths between them makes
     /// a field without them, cracked along the paths; Gauss-Newton closes the cracks where neither conjugacy nor constraints need
     /// them. The result counts if it has fewer singularities at little more energy: first all at once, then close pairs only.
-    pub fn settle(&self, crosses: Vec<Cross>, control: &Control) -> Result<(Vec<Cross>, Vec<i32>, usize), Error> {
-        let mut system = self.system()?;
-        let (crosses, mut iterations) = self.optimize(&mut system, crosses, None, self.options.iterations, control)?;
+    pub fn settle(
+        &self,
+        system: &mut TriangleSystem,
+        crosses: Vec<Cross>,
+        control: &Control,
+    ) -> Result<(Vec<Cross>, Vec<i32>, usize), Error> {
+        let (crosses, mut iterations) = self.optimize(system, crosses, None, self.options.iterations, control)?;
         let jumps = self.bordered_jumps(&crosses);
         let (mut crosses, mut jumps, spent) = if jumps == self.nearest_jumps(&crosses) {
             (crosses, jumps, 0)
         } else {
-            self.closed(&mut system, crosses, jumps, control)?
+            self.closed(system, crosses, jumps, control)?
         };
         iterations += spent;
         let size = self.frames.areas.iter().sum::<f64>().sqrt();
@@ -48,7 +52,7 @@ impl Problem<'_> {
             }
             let mut turned = jumps.clone();
             turns.iter().for_each(|&(edge, quarters)| turned[edge as usize] += quarters);
-            let (trial, turned, spent) = self.closed(&mut system, crosses.clone(), turned, control)?;
+            let (trial, turned, spent) = self.closed(system, crosses.clone(), turned, control)?;
             iterations += spent;
             let left = self.singularities(&trial, &turned).len();
             let allowed = saving * (singularities.len() as f64 - left as f64);
@@ -127,7 +131,7 @@ mod tests {
             let problem = Problem::new(&patch, Conjugacy::Soft, None, &[], &options).unwrap();
             let indices: Vec<i32> = problem.matched(&crosses).1.iter().map(|s| s.index).collect();
             assert_eq!((indices.len(), indices.iter().sum::<i32>()), (2, 0));
-            let (settled, ..) = problem.settle(crosses, &Control::default()).unwrap();
+            let (settled, ..) = problem.settle(&mut problem.system().unwrap(), crosses, &Control::default()).unwrap();
             assert!(problem.matched(&settled).1.is_empty());
             assert!(problem.energy(&settled, None) < 1e-3);
         }
