@@ -127,7 +127,7 @@ impl FieldOptions {
 /// ask for. From there we depart: Gauss-Newton on the angles finds the layout, in which the integral of II(u, v)^2 is traded against
 /// smoothness: a panel sees the mean of II over its own size, so that bumps smaller than panels leave no singularities. The field itself starts
 /// from the nearest conjugate crosses, and instead of alternating with a soft projection Gauss-Newton moves it along the curve of
-/// conjugate crosses of each triangle ([`SecondForm`]), so that conjugacy is exact, with the layout's matching.
+/// conjugate crosses of each triangle ([`SecondForm`](super::SecondForm)), so that conjugacy is exact, with the layout's matching.
 pub fn conjugate_field(
     mesh: SurfaceMesh,
     guess: Option<&[[Vector3<f64>; 2]]>,
