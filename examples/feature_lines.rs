@@ -1,6 +1,7 @@
-//! Where feature lines lose their angle, stage by stage: `cargo run --release --example feature_lines -- 60`.
+//! Where feature lines lose their angle, stage by stage: `cargo run --release --example feature_lines -- 60`, or with the names of sketches,
+//! `-- examples/sketches/*.json`.
 //!
-//! For held-out sketches, on the predicted surfaces and, with `--true`, on the exact ones: the mean angle between the drawn lines and the nearer
+//! For held-out sketches, on the predicted surfaces and, with `--true`, on the exact ones, or for the named ones: the mean angle between the drawn lines and the nearer
 //! family of the field, of its layout, of the map's isolines, of the panels before planarization and of those after it.
 
 use nalgebra::{Point3, Vector3};
@@ -14,6 +15,8 @@ use sketch2pq::pipeline::{
     FieldOptions, FieldPatch, MeshOptions, Placement, Session, SessionOptions, SurfaceOptions, SurfaceResult,
     extract_pq_mesh, sketch_to_cdf, sketch_to_surface,
 };
+use sketch2pq::sketch::{Sketch, read_sketch};
+use std::path::Path;
 use std::time::Instant;
 
 /// The stages in the order of the columns.
@@ -28,9 +31,17 @@ fn main() -> Result<(), Error> {
     println!("| seed | {} | irregular | deviation | P_max | field, ms | mesh, ms |", STAGES.join(" | "));
     println!("|{}", " --- |".repeat(STAGES.len() + 6));
     let mut rows: Vec<Vec<f64>> = vec![];
-    for index in first..first + count {
+    let files: Vec<&String> = arguments.iter().filter(|a| a.ends_with(".json")).collect();
+    for file in &files {
+        let path = Path::new(file);
+        let Some(row) = measure(&mut session, &read_sketch(path)?, None)? else { continue };
+        print_row(&path.file_stem().unwrap_or_default().to_string_lossy(), &row);
+        rows.push(row);
+    }
+    for index in (first..first + count).take_while(|_| files.is_empty()) {
         let Ok(truth) = Split::Surfaces.sample(index, &Options::default()) else { continue };
-        let Some(row) = measure(&mut session, &truth, exact)? else { continue };
+        let surface = exact.then(|| true_surface(&truth)).transpose()?;
+        let Some(row) = measure(&mut session, &truth.sketch, surface)? else { continue };
         print_row(&truth.seed.to_string(), &row);
         rows.push(row);
     }
@@ -46,15 +57,19 @@ fn print_row(name: &str, row: &[f64]) {
     println!("| {name} | {} |", cells.join(" | "));
 }
 
-/// The angles of one sketch, then what they cost; `None` without feature lines.
-fn measure(session: &mut Session, truth: &Sample, exact: bool) -> Result<Option<Vec<f64>>, Error> {
-    let surface = if exact {
-        let placement = Placement::of_sketch(&truth.sketch.view, &truth.patch.frame, 0.0);
-        SurfaceResult::from_nurbs(vec![truth.surface.mapped(|p| placement.to_world(p))])?
-    } else {
-        sketch_to_surface(session, &truth.sketch, &SurfaceOptions::default())?
+/// The surface that a sketch was drawn from.
+fn true_surface(truth: &Sample) -> Result<SurfaceResult, Error> {
+    let placement = Placement::of_sketch(&truth.sketch.view, &truth.patch.frame, 0.0);
+    SurfaceResult::from_nurbs(vec![truth.surface.mapped(|p| placement.to_world(p))])
+}
+
+/// The angles of one sketch on a surface, or on the predicted one, then what they cost; `None` without feature lines.
+fn measure(session: &mut Session, sketch: &Sketch, surface: Option<SurfaceResult>) -> Result<Option<Vec<f64>>, Error> {
+    let surface = match surface {
+        Some(surface) => surface,
+        None => sketch_to_surface(session, sketch, &SurfaceOptions::default())?,
     };
-    let field = sketch_to_cdf(session, Some(&truth.sketch), &surface, &FieldOptions::default())?;
+    let field = sketch_to_cdf(session, Some(sketch), &surface, &FieldOptions::default())?;
     let start = Instant::now();
     let mesh = extract_pq_mesh(session, &field, &MeshOptions::default())?;
     let mesh_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -363,6 +363,13 @@ typedef struct S2pqFieldOptions {
   // The singularities that the field shall have, and no others: a count of 0 asks for none. NULL, the default: the solver places
   // what it needs.
   const struct S2pqSingularities *singularities;
+  // Edge length that the mesh will be asked for, canvas unit; 0, the default: that of the wanted number of faces. Where an aligned border
+  // turns by more than 45 degrees within it the panels have a corner; nothing else depends on it.
+  double edge_length;
+  // Faces over all patches that the mesh will be asked for, where edge_length is 0. Default 500.
+  uint32_t faces;
+  // Not used; 0.
+  uint32_t reserved;
 } S2pqFieldOptions;
 
 // Curves on or near a surface, lent to surface_to_cdf. Set struct_size before the call, and clear the rest.

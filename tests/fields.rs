@@ -186,6 +186,33 @@ fn each_side_is_followed_where_that_is_asked_for() {
 }
 
 #[test]
+fn a_rounded_border_has_corners_where_panels_are_longer_than_its_arcs() {
+    let mut session = session();
+    // A shallow dome over x^8 + y^8 < 1, whose corners are rounded at radii of 0.18.
+    let n = 40;
+    let point = |k: usize| {
+        let [s, t] = [k / (n + 1), k % (n + 1)].map(|i| 2.0 * i as f64 / n as f64 - 1.0);
+        let share = s.abs().max(t.abs()) / (s.powi(8) + t.powi(8)).powf(0.125).max(f64::MIN_POSITIVE);
+        let [x, y] = [s * share, t * share];
+        Point3::new(x, y, -0.1 * (x * x + y * y))
+    };
+    let patch = NurbsSurface::uniform(1, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap();
+    let surface = SurfaceResult::from_nurbs(vec![patch]).unwrap();
+    // Poincare and Hopf: the cross turns once with the border, less a quarter at each corner.
+    let aligned = FieldOptions { aligned_sides: [true; 4], ..FieldOptions::default() };
+    for (options, sum) in [
+        (FieldOptions { faces: 16, ..aligned.clone() }, 0),
+        (FieldOptions { edge_length: 0.5, ..aligned.clone() }, 0),
+        (FieldOptions { faces: 1000, ..aligned.clone() }, 4),
+        (FieldOptions { edge_length: 0.06, ..aligned }, 4),
+    ] {
+        let field = surface_to_cdf(&mut session, &surface, &[], &options).unwrap();
+        let indices = field.patches[0].field.singularities.iter().map(|s| s.index);
+        assert_eq!(indices.sum::<i32>(), sum, "{options:?}");
+    }
+}
+
+#[test]
 fn aligned_sketches_become_planar_meshes_that_end_on_the_border() {
     let mut session = session();
     // What these outlines need: singularities of the field for their rounded corners, at most.

@@ -365,9 +365,12 @@ fn options_out_of_range_name_themselves() {
     for options in [
         FieldOptions { resolution: 3, ..FieldOptions::default() },
         FieldOptions { crossing_floor_deg: 95.0, ..FieldOptions::default() },
+        FieldOptions { faces: 0, ..FieldOptions::default() },
+        FieldOptions { edge_length: f64::NAN, ..FieldOptions::default() },
     ] {
         let result = sketch_to_cdf(&mut session, None, &surface, &options);
-        assert!(matches!(result, Err(Error::Argument { name: "resolution" | "crossing_floor_deg", .. })));
+        let Err(Error::Argument { name, .. }) = result else { panic!("{options:?}") };
+        assert!(["resolution", "crossing_floor_deg", "faces", "edge_length"].contains(&name));
     }
     let field = sketch_to_cdf(&mut session, None, &surface, &FieldOptions::default()).unwrap();
     for options in [

@@ -96,6 +96,9 @@ class FieldOptions(c.Structure):
         ("resolution", _u32),
         ("crossing_floor_deg", _f64),
         ("singularities", c.POINTER(Singularities)),
+        ("edge_length", _f64),
+        ("faces", _u32),
+        ("reserved", _u32),
     ]
 
 
@@ -199,7 +202,7 @@ LAYOUT = {
     Nurbs: (80, [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 72]),
     SurfaceDiagnostics: (48, [0, 4, 8, 16, 24, 32, 40, 44]),
     Singularities: (48, [0, 4, 8, 16, 24, 32, 40]),
-    FieldOptions: (32, [0, 4, 8, 12, 16, 24]),
+    FieldOptions: (48, [0, 4, 8, 12, 16, 24, 32, 40, 44]),
     Curves: (40, [0, 4, 8, 16, 24, 32]),
     FieldDiagnostics: (40, [0, 4, 8, 16, 24, 32]),
     MeshOptions: (40, [0, 4, 8, 12, 16, 24, 32, 36]),

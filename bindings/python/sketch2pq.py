@@ -615,13 +615,15 @@ class Session(_Handle):
         curves=None,
         hard=False,
         singularities=None,
+        faces=None,
+        edge_length=None,
     ):
         """Surface to a conjugate direction field, aligned with the sketch's feature lines or with curves in space.
 
         `curves`: arrays of (x, y, z) on or near the surface, instead of a sketch; `hard`: whether they are followed exactly, one truth
         value for all or one for each. `align_border`: True, or some of SIDES. `singularities`: what the field shall have and no others, each
         ((x, y, z), index) in space, or ((u, v), index) and perhaps the number of the patch; the index is 1 where three quads meet, -1 where
-        five do.
+        five do. `faces` or `edge_length`: as the mesh will be asked for; an aligned border that turns within a panel's length has corners there.
         """
         options = _options(
             native.FieldOptions,
@@ -630,6 +632,8 @@ class Session(_Handle):
             align_border=None if align_border is None else _sides(align_border),
             resolution=resolution,
             crossing_floor_deg=crossing_floor_deg,
+            faces=faces,
+            edge_length=edge_length,
         )
         if singularities is not None:
             # Kept until the call ends: the options point into them.

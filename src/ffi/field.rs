@@ -33,9 +33,16 @@ pub struct S2pqFieldOptions {
     /// The singularities that the field shall have, and no others: a count of 0 asks for none. NULL, the default: the solver places
     /// what it needs.
     pub singularities: *const S2pqSingularities,
+    /// Edge length that the mesh will be asked for, canvas unit; 0, the default: that of the wanted number of faces. Where an aligned border
+    /// turns by more than 45 degrees within it the panels have a corner; nothing else depends on it.
+    pub edge_length: f64,
+    /// Faces over all patches that the mesh will be asked for, where edge_length is 0. Default 500.
+    pub faces: u32,
+    /// Not used; 0.
+    pub reserved: u32,
 }
 
-// SAFETY: repr(C), size first, four u32, an f64 and a pointer: no padding, and any bits are a valid raw pointer.
+// SAFETY: repr(C), size first, four u32, an f64, a pointer, an f64 and two u32: no padding, and any bits are a valid raw pointer.
 unsafe impl Sized32 for S2pqFieldOptions {
     const NAME: &'static str = "S2pqFieldOptions";
     const DEFAULT: Self = Self {
@@ -45,6 +52,9 @@ unsafe impl Sized32 for S2pqFieldOptions {
         resolution: DEFAULTS.resolution as u32,
         crossing_floor_deg: DEFAULTS.crossing_floor_deg,
         singularities: std::ptr::null(),
+        edge_length: DEFAULTS.edge_length,
+        faces: DEFAULTS.faces as u32,
+        reserved: 0,
     };
 }
 
@@ -70,6 +80,8 @@ impl S2pqFieldOptions {
             resolution: self.resolution as usize,
             crossing_floor_deg: self.crossing_floor_deg,
             singularities,
+            faces: self.faces as usize,
+            edge_length: self.edge_length,
         })
     }
 }

@@ -6,9 +6,6 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
-/// Way along the border on both sides of a vertex over which its turning counts, in square roots of the area: an edge of a mesh of about five
-/// hundred panels.
-const WINDOW: f64 = 0.045;
 /// Least turning of a corner, radians.
 const LEAST_TURN: f64 = FRAC_PI_4;
 /// Share of the largest turning nearby that the corner itself has, when several vertices see it.
@@ -40,12 +37,10 @@ pub(super) fn followed(mesh: &SurfaceMesh, edges: &EdgeTopology, sides: &[bool; 
 
 /// The corners between border edges that the field follows, in the order of their vertices.
 ///
-/// A corner is where the chords over [`WINDOW`] before and after a vertex turn by more than 45 degrees, seen along the surface's normal there; the
-/// turning counts in whole quarters, but never so many that no panel is left.
-pub(super) fn corners(mesh: &SurfaceMesh, edges: &EdgeTopology, sides: &[bool; 4]) -> Vec<Corner> {
+/// A corner is where the chords over `window`, the length of a panel, before and after a vertex turn by more than 45 degrees, seen along the
+/// surface's normal there; the turning counts in whole quarters, but never so many that no panel is left.
+pub(super) fn corners(mesh: &SurfaceMesh, edges: &EdgeTopology, sides: &[bool; 4], window: f64) -> Vec<Corner> {
     let outline = Outline::new(mesh, edges, sides);
-    let area: f64 = (0..mesh.triangles.len()).map(|t| mesh.triangle_normal_area(t).1).sum();
-    let window = WINDOW * area.sqrt();
     let turning: BTreeMap<u32, f64> = outline.inner().map(|v| (v, outline.turning(v, window))).collect();
     let mut sharp: Vec<(u32, f64)> = turning.iter().map(|(&v, &turn)| (v, turn)).collect();
     sharp.retain(|(_, turn)| turn.abs() > LEAST_TURN);
@@ -159,9 +154,13 @@ mod tests {
     use nalgebra::Point3;
 
     fn corners_of(surface: &NurbsSurface, cells: [usize; 2], sides: [bool; 4]) -> Vec<(u32, i32)> {
+        corners_within(surface, cells, sides, 0.1)
+    }
+
+    fn corners_within(surface: &NurbsSurface, cells: [usize; 2], sides: [bool; 4], window: f64) -> Vec<(u32, i32)> {
         let mesh = SurfaceMesh::new(surface, cells).unwrap();
         let edges = EdgeTopology::new(mesh.points.len(), &mesh.triangles).unwrap();
-        corners(&mesh, &edges, &sides).iter().map(|c| (c.vertex, c.turns)).collect()
+        corners(&mesh, &edges, &sides, window).iter().map(|c| (c.vertex, c.turns)).collect()
     }
 
     #[test]
@@ -192,5 +191,20 @@ mod tests {
         };
         let disk = NurbsSurface::uniform(1, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(disk).collect()).unwrap();
         assert_eq!(corners_of(&disk, [40, 40], [true; 4]), []);
+    }
+
+    #[test]
+    fn a_rounded_corner_is_one_for_panels_longer_than_its_arc() {
+        // x^8 + y^8 = 1: radii of curvature of 0.18 on the diagonals.
+        let n = 40;
+        let point = |k: usize| {
+            let [s, t] = [k / (n + 1), k % (n + 1)].map(|i| 2.0 * i as f64 / n as f64 - 1.0);
+            let share = s.abs().max(t.abs()) / (s.powi(8) + t.powi(8)).powf(0.125).max(f64::MIN_POSITIVE);
+            Point3::new(s * share, t * share, 0.0)
+        };
+        let rounded = NurbsSurface::uniform(1, [n + 1, n + 1], (0..(n + 1) * (n + 1)).map(point).collect()).unwrap();
+        let all = [(0, 1), (40, 1), (41 * 40, 1), (41 * 40 + 40, 1)];
+        assert_eq!(corners_within(&rounded, [40, 40], [true; 4], 0.5), all);
+        assert_eq!(corners_within(&rounded, [40, 40], [true; 4], 0.08), []);
     }
 }

@@ -6,12 +6,13 @@
 
 use super::conjugate_field::ConjugateField;
 use super::map_elements::{Element, elements};
+use super::map_sizes::Sizes;
 use super::map_system::System;
 use super::map_unknowns::{Form, Unknowns, singularity_variable};
 use super::relations::Relations;
 use super::rounding::Reduced;
 use super::seamless_map::{MAP_UNIT, MapDiagnostics, SeamlessMap, Transition};
-use super::seams::{Gauss, NONE, Seams, turned};
+use super::seams::{Gauss, Seams, turned};
 use super::untangle::Tangle;
 use crate::control::Control;
 use crate::error::Error;
@@ -42,7 +43,8 @@ pub struct MapOptions {
     pub density: Density,
     /// Weight of equal cell sizes against following the field's directions, in (0, 1]; small, because sizes may give.
     pub size_weight: f64,
-    /// Rounds in which each place's target size is adapted to what the directions allow; 0 asks for equal sizes.
+    /// Rounds in which each place's target size is adapted to what the directions allow, and stretched places are made stiffer; 0 asks for equal
+    /// sizes.
     pub size_rounds: usize,
     /// Sides that become isolines.
     pub sides: SideFit,
@@ -58,7 +60,7 @@ impl Default for MapOptions {
         Self {
             density: Density::CellCount(500.0),
             size_weight: 0.05,
-            size_rounds: 1,
+            size_rounds: 2,
             sides: SideFit::Within(6f64.to_radians()),
             pair_distance: 1.0,
             rim_distance: 0.5,
@@ -95,7 +97,7 @@ pub struct Integrator<'a> {
     /// Side from which the domain lies on fitted coordinates: the sign of one unit off the integer.
     inward: Vec<[i8; 2]>,
     fitted_sides: [bool; 4],
-    sizes: Vec<[f64; 2]>,
+    sizes: Sizes,
     base: Reduced,
     relaxed_cells: f64,
 }
@@ -110,7 +112,7 @@ impl<'a> Integrator<'a> {
             let value = options.size_weight.to_string();
             return Err(Error::Argument { name: "size_weight", value, expected: "more than 0, at most 1" });
         }
-        let area: f64 = (0..field.mesh.triangles.len()).map(|t| field.mesh.triangle_normal_area(t).1).sum();
+        let area = field.mesh.area();
         let edge = match options.density {
             Density::EdgeLength(edge) => edge,
             Density::CellCount(count) => (area / count).sqrt(),
@@ -125,9 +127,8 @@ impl<'a> Integrator<'a> {
         let Unknowns { forms: vertex_forms, inward, fitted_sides, free, integers, relations } = unknowns;
         let relations = Relations::new(integers, &relations);
         let system = System::new(field, &seams, &vertex_forms, free, &relations)?;
-        let start = vec![[1.0, 1.0]; triangles.len()];
         // Sizes are in units of cells per length for a map of about 500 cells; only their ratios matter.
-        let unit = (500.0 / area).sqrt();
+        let (count, unit) = (triangles.len(), (500.0 / area).sqrt());
         let mut integrator = Self {
             field,
             options: *options,
@@ -138,7 +139,7 @@ impl<'a> Integrator<'a> {
             relations,
             inward,
             fitted_sides,
-            sizes: start.iter().map(|s| s.map(|x| x * unit)).collect(),
+            sizes: Sizes::equal(count, unit),
             base: Reduced::default(),
             relaxed_cells: 0.0,
         };
@@ -150,7 +151,7 @@ impl<'a> Integrator<'a> {
             let solution = integrator.base.solution(1.0, &y);
             let corners = integrator.system.corners(&solution);
             if round < options.size_rounds {
-                integrator.adapt_sizes(&corners, unit);
+                integrator.sizes.adapt(&integrator.triangles, &integrator.seams, &corners);
             } else {
                 integrator.relaxed_cells = corners.iter().map(signed_area).sum();
             }
@@ -231,14 +232,14 @@ impl<'a> Integrator<'a> {
 
     /// What turns triangles of the map at this scale back.
     fn tangle(&self, scale: f64) -> Tangle<'_> {
-        let sizes = self.sizes.iter().map(|s| s.map(|x| x * scale)).collect();
+        let sizes = self.sizes.wanted.iter().map(|s| s.map(|x| x * scale)).collect();
         Tangle { field: self.field, seams: &self.seams, elements: &self.triangles, system: &self.system, sizes }
     }
 
     /// Assembles the energy
-    /// sum over triangles and families of A (sin^2(crossing) (grad a . v)^2 / s^2 + w (grad a . u / s - 1)^2)
-    /// as matrix values and gradient. The first term is about the squared angle between isoline and field; lines that the field follows add more
-    /// of that along themselves.
+    /// sum over triangles and families of A (sin^2(crossing) (grad a . v)^2 / r^2 + w k (grad a . u / s - 1)^2)
+    /// as matrix values and gradient, with the wanted sizes s, the reached ones r and the stiffness k of [`Sizes`]. The first term is about the
+    /// squared angle between isoline and field; lines that the field follows add more of that along themselves.
     fn assemble(&self) -> (Vec<f64>, Vec<f64>) {
         let mut values = vec![0.0; self.system.slots];
         let mut gradient = vec![0.0; self.system.free + self.system.integers];
@@ -246,23 +247,22 @@ impl<'a> Integrator<'a> {
             let mut hessian = [0.0; 18];
             let mut right = [0.0; 6];
             let weight = element.area;
-            let size_weight = self.options.size_weight * weight;
             for family in 0..2 {
-                let inverse = 1.0 / self.sizes[t][family];
+                let inverse = 1.0 / self.sizes.wanted[t][family];
+                let size_weight = self.options.size_weight * weight * self.sizes.stiffness[t][family];
                 let (across, along) = (&element.along[1 - family], &element.along[family]);
-                let direction_weight = weight * element.crossing * element.crossing;
+                let direction_weight = weight * (element.crossing / self.sizes.reached[t][family]).powi(2);
                 for i in 0..3 {
                     right[3 * family + i] = size_weight * along[i] * inverse;
                     for j in 0..3 {
-                        hessian[9 * family + 3 * i + j] = inverse
-                            * inverse
-                            * (direction_weight * across[i] * across[j] + size_weight * along[i] * along[j]);
+                        hessian[9 * family + 3 * i + j] = direction_weight * across[i] * across[j]
+                            + size_weight * inverse * inverse * along[i] * along[j];
                     }
                 }
             }
             for line in &element.lines {
                 let family = 1 - line.family;
-                let scale = weight * line.weight / (self.sizes[t][family] * self.sizes[t][family]);
+                let scale = weight * line.weight / self.sizes.reached[t][family].powi(2);
                 for i in 0..3 {
                     for j in 0..3 {
                         hessian[9 * family + 3 * i + j] += scale * line.along[i] * line.along[j];
@@ -272,40 +272,6 @@ impl<'a> Integrator<'a> {
             self.system.add(t, &hessian, &right, &mut values, &mut gradient);
         }
         (values, gradient)
-    }
-
-    /// Moves each triangle's target sizes to those of the map, smoothed over neighbours and bounded.
-    fn adapt_sizes(&mut self, corners: &[[[f64; 2]; 3]], unit: f64) {
-        let mut logs: Vec<[f64; 2]> = (0..self.triangles.len())
-            .map(|t| {
-                [0, 1].map(|family| {
-                    let element = &self.triangles[t];
-                    let slope: f64 = (0..3).map(|i| element.along[family][i] * corners[t][i][family]).sum();
-                    (slope / unit).clamp(0.15, 6.0).ln()
-                })
-            })
-            .collect();
-        for _ in 0..3 {
-            let before = logs.clone();
-            for t in 0..logs.len() {
-                let mut sum = before[t];
-                let mut count = 1.0;
-                for h in 3 * t..3 * t + 3 {
-                    let other = self.seams.twin[h];
-                    if other != NONE {
-                        let there = before[other as usize / 3];
-                        let odd = self.seams.turn[h] % 2 == 1;
-                        sum[0] += there[usize::from(odd)];
-                        sum[1] += there[usize::from(!odd)];
-                        count += 1.0;
-                    }
-                }
-                logs[t] = sum.map(|s| s / count);
-            }
-        }
-        for (size, log) in self.sizes.iter_mut().zip(&logs) {
-            *size = log.map(|l| unit * l.exp());
-        }
     }
 
     /// Mean angle between isolines and field, degrees.

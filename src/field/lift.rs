@@ -287,8 +287,7 @@ pub(super) fn locate(mesh: &SurfaceMesh, point: [f64; 2]) -> Option<u32> {
 
 /// Side of a square of two mean triangles.
 fn mean_size(mesh: &SurfaceMesh) -> f64 {
-    let area: f64 = (0..mesh.triangles.len()).map(|t| mesh.triangle_normal_area(t).1).sum();
-    (2.0 * area / mesh.triangles.len() as f64).sqrt()
+    (2.0 * mesh.area() / mesh.triangles.len() as f64).sqrt()
 }
 
 /// One constraint for each run of pieces on one triangle.

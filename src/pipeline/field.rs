@@ -2,6 +2,7 @@
 
 use super::curves::{FeatureCurve, on_surfaces};
 use super::lift::{Seen, canvas_field};
+use super::mesh::check_panels;
 use super::placement::Placement;
 use super::report::Report;
 use super::session::{Session, Times, timed};
@@ -31,6 +32,11 @@ pub struct FieldOptions {
     pub crossing_floor_deg: f64,
     /// The singularities that the fields shall have, and no others; `None`: the solver places what it needs.
     pub singularities: Option<Vec<FixedSingularity>>,
+    /// Faces over all patches that the mesh will be asked for, where `edge_length` is 0; 1 to a million. Where aligned sides turn by more than
+    /// 45 degrees within a panel's length the panels have a corner; nothing else depends on it.
+    pub faces: usize,
+    /// Edge length that the mesh will be asked for, canvas unit; 0: that of the wanted number of faces.
+    pub edge_length: f64,
 }
 
 /// Cells along the longer side of a patch unless the host says otherwise.
@@ -52,6 +58,8 @@ impl FieldOptions {
         resolution: 0,
         crossing_floor_deg: 20.0,
         singularities: None,
+        faces: 500,
+        edge_length: 0.0,
     };
 
     fn check(&self) -> Result<(), Error> {
@@ -59,14 +67,28 @@ impl FieldOptions {
             let value = self.resolution.to_string();
             return Err(Error::Argument { name: "resolution", value, expected: "0, or a number from 8 to 256" });
         }
-        Ok(())
+        check_panels(self.faces, self.edge_length)
     }
 
-    /// What the solver is told.
-    fn solver(&self) -> crate::field::FieldOptions {
+    /// Length of the panels' edges on a surface, canvas unit.
+    ///
+    /// # Errors
+    /// As [`SurfaceMesh::new`].
+    fn panel_length(&self, surface: &SurfaceResult) -> Result<f64, Error> {
+        if self.edge_length > 0.0 {
+            return Ok(self.edge_length);
+        }
+        let area = |patch: &SurfacePatch| Ok(SurfaceMesh::new(&patch.surface, cells(&patch.surface, 0))?.area());
+        let areas = surface.patches.iter().map(area).collect::<Result<Vec<f64>, Error>>()?;
+        Ok((areas.iter().sum::<f64>() / self.faces as f64).sqrt())
+    }
+
+    /// What the solver is told; `panel_length` in the working unit.
+    fn solver(&self, panel_length: f64) -> crate::field::FieldOptions {
         crate::field::FieldOptions {
             crossing_floor_deg: self.crossing_floor_deg,
             aligned_sides: self.aligned_sides,
+            panel_length,
             parallel_weight: PARALLEL_WEIGHT,
             ..crate::field::FieldOptions::default()
         }
@@ -204,6 +226,7 @@ pub fn surface_to_cdf(
         control.step("field", 0.0)?;
         let surfaces = working(surface);
         let fixed = fixed_places(&surfaces, options)?;
+        let panel_length = options.panel_length(surface)?;
         let pieces = timed(&mut times.field, || on_surfaces(&surfaces, curves))?;
         let mut patches = Vec::with_capacity(surfaces.len());
         for (((surface, placement), pieces), fixed) in surfaces.into_iter().zip(pieces).zip(fixed) {
@@ -216,7 +239,8 @@ pub fn surface_to_cdf(
                     let curve = std::slice::from_ref(&piece.parameters);
                     constraints.extend(constraints_from_parameters(&mesh, curve, weight)?);
                 }
-                solve(mesh, None, &constraints, fixed.as_deref(), options, control)
+                let solver = options.solver(panel_length * placement.scale);
+                solve(mesh, None, &constraints, fixed.as_deref(), &solver, control)
             })?;
             let feature_lines = pieces.into_iter().map(|piece| piece.positions).collect();
             patches.push(FieldPatch { field, surface, placement, feature_lines });
@@ -249,12 +273,12 @@ fn solve(
     guess: Option<&[[Vector3<f64>; 2]]>,
     constraints: &[DirectionConstraint],
     fixed: Option<&[Place]>,
-    options: &FieldOptions,
+    options: &crate::field::FieldOptions,
     control: &Control,
 ) -> Result<ConjugateField, Error> {
-    let Some(places) = fixed else { return conjugate_field(mesh, guess, constraints, &options.solver(), control) };
+    let Some(places) = fixed else { return conjugate_field(mesh, guess, constraints, options, control) };
     let fixed = singularities::on_mesh(&mesh, places);
-    conjugate_field_with_singularities(mesh, guess, constraints, &fixed, &options.solver(), control)
+    conjugate_field_with_singularities(mesh, guess, constraints, &fixed, options, control)
 }
 
 /// Adds measures to the fields of all patches.
@@ -292,6 +316,7 @@ fn run(
     };
     let mut patches = Vec::with_capacity(surface.patches.len());
     let fixed = fixed_places(&working(surface), options)?;
+    let panel_length = options.panel_length(surface)?;
     for (index, (patch, fixed)) in surface.patches.iter().zip(&fixed).enumerate() {
         let outline = if drawn.len() == surface.patches.len() {
             drawn.get(index)
@@ -299,7 +324,17 @@ fn run(
             // Fewer or more outlines than patches: the outline that the patch covers best.
             sketch.and_then(|sketch| best_outline(&drawn, patch, sketch))
         };
-        patches.push(patch_field(networks, sketch, outline, patch, fixed.as_deref(), options, control, &mut times)?);
+        patches.push(patch_field(
+            networks,
+            sketch,
+            outline,
+            patch,
+            fixed.as_deref(),
+            panel_length,
+            options,
+            control,
+            &mut times,
+        )?);
     }
     control.step("field", 1.0)?;
     let ran = (options.use_network && !drawn.is_empty()).then(|| networks.backend().to_string());
@@ -346,6 +381,7 @@ fn patch_field(
     outline: Option<&PatchSketch>,
     patch: &SurfacePatch,
     fixed: Option<&[Place]>,
+    panel_length: f64,
     options: &FieldOptions,
     control: &Control,
     times: &mut Times,
@@ -393,7 +429,10 @@ fn patch_field(
         None => Ok((vec![], vec![])),
     })?;
     drop(seen);
-    let field = timed(&mut times.field, || solve(mesh, guess.as_deref(), &constraints, fixed, options, control))?;
+    let field = timed(&mut times.field, || {
+        let solver = options.solver(panel_length * placement.scale);
+        solve(mesh, guess.as_deref(), &constraints, fixed, &solver, control)
+    })?;
     Ok(FieldPatch { field, surface, placement, feature_lines })
 }
 

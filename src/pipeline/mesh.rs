@@ -61,18 +61,28 @@ impl MeshOptions {
     };
 
     fn check(&self) -> Result<(), Error> {
-        let fail = |name, value: String, expected| Err(Error::Argument { name, value, expected });
-        if !(1..=MAX_FACES).contains(&self.faces) {
-            return fail("faces", self.faces.to_string(), "a number from 1 to 1,000,000");
-        }
-        if !(self.edge_length.is_finite() && self.edge_length >= 0.0) {
-            return fail("edge_length", self.edge_length.to_string(), "a length, or 0 for automatic");
-        }
+        check_panels(self.faces, self.edge_length)?;
         if !(1e-12..=1.0).contains(&self.planarity) {
-            return fail("planarity", self.planarity.to_string(), "a number in [1e-12, 1]");
+            let value = self.planarity.to_string();
+            return Err(Error::Argument { name: "planarity", value, expected: "a number in [1e-12, 1]" });
         }
         Ok(())
     }
+}
+
+/// Whether a host may ask for so many faces, and for edges of this length.
+///
+/// # Errors
+/// [`Error::Argument`] if not.
+pub(super) fn check_panels(faces: usize, edge_length: f64) -> Result<(), Error> {
+    let fail = |name, value: String, expected| Err(Error::Argument { name, value, expected });
+    if !(1..=MAX_FACES).contains(&faces) {
+        return fail("faces", faces.to_string(), "a number from 1 to 1,000,000");
+    }
+    if !(edge_length.is_finite() && edge_length >= 0.0) {
+        return fail("edge_length", edge_length.to_string(), "a length, or 0 for automatic");
+    }
+    Ok(())
 }
 
 impl Default for MeshOptions {

@@ -105,6 +105,11 @@ impl SurfaceMesh {
         let norm = cross.norm();
         (cross / norm.max(f64::MIN_POSITIVE), 0.5 * norm)
     }
+
+    /// Area of all triangles.
+    pub fn area(&self) -> f64 {
+        (0..self.triangles.len()).map(|t| self.triangle_normal_area(t).1).sum()
+    }
 }
 
 /// Two triangles for each cell of a grid of points, cut along the diagonal that ends in a corner of the grid, else along the shorter one.

@@ -78,14 +78,18 @@ impl Run {
         let watched = bar.clone();
         session.set_progress(Some(Box::new(move |stage, fraction| advance(&watched, stage, fraction))));
 
-        let field_options =
-            FieldOptions { aligned_sides: [matches!(self.border, Border::Aligned); 4], ..FieldOptions::default() };
         let mesh_options = MeshOptions {
             border: self.border.into(),
             faces: self.faces.unwrap_or(MeshOptions::DEFAULT.faces),
             edge_length: self.edge.unwrap_or(0.0),
             planarity: self.planarity,
             ..MeshOptions::default()
+        };
+        let field_options = FieldOptions {
+            aligned_sides: [matches!(self.border, Border::Aligned); 4],
+            faces: mesh_options.faces,
+            edge_length: mesh_options.edge_length,
+            ..FieldOptions::default()
         };
         let results = sketch_to_surface(&mut session, &sketch, &SurfaceOptions::default()).and_then(|surface| {
             let field = sketch_to_cdf(&mut session, Some(&sketch), &surface, &field_options)?;
