@@ -70,12 +70,12 @@ impl FieldOptions {
         check_panels(self.faces, self.edge_length)
     }
 
-    /// Length of the panels' edges on a surface, canvas unit.
+    /// Length of the panels' edges on a surface, canvas unit; 0 where no side is aligned and none is asked for.
     ///
     /// # Errors
     /// As [`SurfaceMesh::new`].
     fn panel_length(&self, surface: &SurfaceResult) -> Result<f64, Error> {
-        if self.edge_length > 0.0 {
+        if self.edge_length > 0.0 || !self.aligned_sides.contains(&true) {
             return Ok(self.edge_length);
         }
         let area = |patch: &SurfacePatch| Ok(SurfaceMesh::new(&patch.surface, cells(&patch.surface, 0))?.area());
