@@ -111,7 +111,8 @@ struct Piece {
 /// Number of branches of visible boundary, occluded boundary and contour at a node.
 type Branches = [usize; 3];
 
-fn kind_index(kind: StrokeKind) -> usize {
+/// Place of a kind in [`Branches`].
+pub(crate) fn kind_index(kind: StrokeKind) -> usize {
     match kind {
         StrokeKind::VisibleBoundary => 0,
         StrokeKind::OccludedBoundary => 1,

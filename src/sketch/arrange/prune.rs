@@ -121,11 +121,13 @@ fn remove_slivers(edges: &mut Vec<Edge>) {
             }
         }
     }
-    let mut k = 0;
-    edges.retain(|_| {
-        k += 1;
-        !removed[k - 1]
-    });
+    drop_edges(edges, &removed);
+}
+
+/// Removes the edges that are marked.
+fn drop_edges(edges: &mut Vec<Edge>, removed: &[bool]) {
+    let mut marks = removed.iter();
+    edges.retain(|_| !marks.next().is_some_and(|&removed| removed));
 }
 
 /// Removes small loops that a line makes with itself, as at a narrow corner whose sides cross.
@@ -162,11 +164,7 @@ fn remove_lobes(edges: &mut Vec<Edge>) {
             }
         }
     }
-    let mut k = 0;
-    edges.retain(|_| {
-        k += 1;
-        !removed[k - 1]
-    });
+    drop_edges(edges, &removed);
 }
 
 /// Removes short edges that end in the open beyond a crossing.

@@ -1,6 +1,6 @@
 //! Layers and orientation of every face, and what contradicts itself, at the place where it does.
 
-use super::super::arrange::{Arrangement, Flaw};
+use super::super::arrange::{Arrangement, Flaw, kind_index};
 use super::super::polyline::{Point, middle};
 use super::super::stroke::StrokeKind;
 use super::Orientation;
@@ -81,11 +81,7 @@ fn check_nodes(arrangement: &Arrangement) -> Result<(), Flaw> {
         let outer: Vec<usize> = (0..leaving.len()).filter(|&k| arrangement.face_of[leaving[k]] == 0).collect();
         let mut counts = [0; 3];
         for &h in leaving {
-            match arrangement.edges[h / 2].kind {
-                StrokeKind::VisibleBoundary => counts[0] += 1,
-                StrokeKind::OccludedBoundary => counts[1] += 1,
-                StrokeKind::Contour | StrokeKind::Feature => counts[2] += 1,
-            }
+            counts[kind_index(arrangement.edges[h / 2].kind)] += 1;
         }
         if outer.len() > 1 {
             return contradiction(
