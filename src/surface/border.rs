@@ -4,7 +4,9 @@ use super::corners::BorderLoop;
 use super::knots::KnotVector;
 use super::layer_map::LayerMap;
 use crate::error::Error;
+use crate::numeric::SymbolicCholesky;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
+use sprs::CsMat;
 
 /// Depth and normals of both layers.
 #[derive(Clone, Debug, PartialEq)]
@@ -217,40 +219,42 @@ fn fit_heights(
     let unknowns = starts[4];
     let id = |side: usize, i: usize| (starts[side] + i) % unknowns;
 
-    let mut robust = vec![1.0; samples.len()];
-    let mut solution = DVector::zeros(unknowns);
-    let mut smoothing = DMatrix::zeros(unknowns, unknowns);
+    let mut smoothing = CyclicBand::new(unknowns);
     for k in 0..4 {
-        smoothing_rows(&knots[k % 2], DEPTH_SMOOTHING, |first, row| {
-            add_square(&mut smoothing, row, |i| Some(id(k, first + i)));
-        });
+        smoothing_rows(&knots[k % 2], DEPTH_SMOOTHING, |first, row| smoothing.add_square(id(k, first), row));
     }
-    for _ in 0..ROBUST_ROUNDS {
-        // 4 x 29 unknowns: dense is faster than sparse.
-        let mut matrix = smoothing.clone();
-        let mut right = DVector::zeros(unknowns);
-        for (k, side) in sides.iter().enumerate() {
-            for (&index, &t) in side.iter().zip(&parameters[k]) {
-                let (depth, weight) = samples[index];
-                let scale = (weight * robust[index] / side.len() as f64).sqrt();
+    // First unknown and basis functions of each place on a side, with the loop's point and its share of the side.
+    let places: Vec<_> = (0..4)
+        .flat_map(|k| {
+            let side = sides[k].iter().zip(&parameters[k]);
+            side.map(move |(&index, &t)| {
                 let basis = knots[k % 2].basis(t);
-                let row = [0, 1, 2, 3].map(|i| scale * basis.values[0][i]);
-                add_square(&mut matrix, &row, |i| Some(id(k, basis.first + i)));
-                for (i, value) in row.iter().enumerate() {
-                    right[id(k, basis.first + i)] -= value * depth * scale;
-                }
+                (id(k, basis.first), [0, 1, 2, 3].map(|i| basis.values[0][i]), index, 1.0 / sides[k].len() as f64)
+            })
+        })
+        .collect();
+    let mut robust = vec![1.0; samples.len()];
+    let mut solution = vec![];
+    let symbolic = SymbolicCholesky::new(&smoothing.matrix())?;
+    for _ in 0..ROBUST_ROUNDS {
+        let mut band = smoothing.clone();
+        let mut right = vec![0.0; unknowns];
+        for &(first, values, index, share) in &places {
+            let (depth, weight) = samples[index];
+            let scale = (weight * robust[index] * share).sqrt();
+            let row = values.map(|value| scale * value);
+            band.add_square(first, &row);
+            for (i, value) in row.iter().enumerate() {
+                right[(first + i) % unknowns] -= value * depth * scale;
             }
         }
-        let factor = matrix.cholesky().ok_or(Error::Singular { what: "border depth", size: unknowns })?;
-        solution = factor.solve(&right);
+        symbolic.factorize(&band.matrix(), "border depth")?.solve(&mut right);
+        solution = right;
 
         let mut residuals = vec![f64::NAN; samples.len()];
-        for (k, side) in sides.iter().enumerate() {
-            for (&index, &t) in side.iter().zip(&parameters[k]) {
-                let basis = knots[k % 2].basis(t);
-                let z: f64 = (0..4).map(|i| basis.values[0][i] * solution[id(k, basis.first + i)]).sum();
-                residuals[index] = (z + samples[index].0).abs();
-            }
+        for &(first, values, index, _) in &places {
+            let z: f64 = (0..4).map(|i| values[i] * solution[(first + i) % unknowns]).sum();
+            residuals[index] = (z + samples[index].0).abs();
         }
         let mut sorted: Vec<f64> = (0..samples.len()).filter(|&i| samples[i].1 > 0.0).map(|i| residuals[i]).collect();
         sorted.sort_by(f64::total_cmp);
@@ -261,6 +265,48 @@ fn fit_heights(
         }
     }
     Ok([0, 1, 2, 3].map(|k| (0..knots[k % 2].count()).map(|i| solution[id(k, i)]).collect()))
+}
+
+/// The symmetric matrix of a closed cubic spline: entry [i][d] couples unknowns i and i + d, counted around the loop.
+#[derive(Clone)]
+struct CyclicBand {
+    entries: Vec<[f64; 4]>,
+}
+
+impl CyclicBand {
+    /// The zero matrix of `unknowns` rows, at least eight, so that the band does not meet itself.
+    fn new(unknowns: usize) -> Self {
+        Self { entries: vec![[0.0; 4]; unknowns] }
+    }
+
+    /// Adds the outer product of `row`, the coefficients of the unknowns from `first` on, with itself.
+    fn add_square(&mut self, first: usize, row: &[f64]) {
+        let n = self.entries.len();
+        for (i, a) in row.iter().enumerate() {
+            for (entry, b) in self.entries[(first + i) % n].iter_mut().zip(&row[i..]) {
+                *entry += a * b;
+            }
+        }
+    }
+
+    /// The lower triangle.
+    fn matrix(&self) -> CsMat<f64> {
+        let n = self.entries.len();
+        let (mut starts, mut rows, mut values) = (vec![0], vec![], vec![]);
+        for column in 0..n {
+            for (d, &value) in self.entries[column].iter().enumerate().take(n - column) {
+                rows.push(column + d);
+                values.push(value);
+            }
+            // Couplings that pass the end of the loop.
+            for d in (column + 1..4).rev() {
+                rows.push(column + n - d);
+                values.push(self.entries[column + n - d][d]);
+            }
+            starts.push(rows.len());
+        }
+        CsMat::new_csc((n, n), starts, rows, values)
+    }
 }
 
 /// Control points (x, y) of one side, its ends exactly at the corners.
@@ -319,6 +365,25 @@ fn add_square(matrix: &mut DMatrix<f64>, row: &[f64], index: impl Fn(usize) -> O
 mod tests {
     use super::*;
     use crate::surface::{NurbsSurface, coons_net};
+
+    #[test]
+    fn a_cyclic_band_is_the_sum_of_its_squares() {
+        let n = 9;
+        let mut band = CyclicBand::new(n);
+        let mut dense = DMatrix::zeros(n, n);
+        for first in 0..n {
+            let row = [1.0, -2.0, 0.5, 3.0].map(|value| value + 0.1 * first as f64);
+            band.add_square(first, &row);
+            add_square(&mut dense, &row, |i| Some((first + i) % n));
+        }
+        let mut found = DMatrix::zeros(n, n);
+        for (&value, (row, column)) in band.matrix().iter() {
+            assert!(row >= column);
+            found[(row, column)] = value;
+            found[(column, row)] = value;
+        }
+        assert!((found - dense).amax() < 1e-12);
+    }
 
     fn saddle(x: f64, y: f64) -> f64 {
         5.0 + 0.1 * (x * x - y * y) + 0.3 * x
