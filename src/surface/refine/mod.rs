@@ -3,6 +3,7 @@
 //! Everything is in the canonical frame: x right, y up, z towards the viewer, depth = -z.
 
 mod facing;
+mod grid_sample;
 mod model;
 mod report;
 mod samples;
@@ -22,6 +23,7 @@ use super::tensor::{Banded, FastDiagonal, GridAxis, GridPlanes, TensorGrid, gram
 use crate::control::Control;
 use crate::error::Error;
 use nalgebra::{DMatrix, Point3};
+use rayon::prelude::*;
 
 /// What the host can choose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -436,12 +438,10 @@ impl<'a> Refiner<'a> {
     }
 
     fn planes(&self, net: &[f64]) -> [GridPlanes; 3] {
-        let n = net.len() / 3;
-        [0, 1, 2].map(|c| {
-            let mut planes = GridPlanes::default();
-            self.grid.forward(&net[c * n..(c + 1) * n], &mut planes);
-            planes
-        })
+        let mut planes: [GridPlanes; 3] = Default::default();
+        let nets = net.par_chunks_exact(net.len() / 3);
+        planes.par_iter_mut().zip(nets).for_each(|(plane, net)| self.grid.forward(net, plane));
+        planes
     }
 }
 

@@ -3,7 +3,8 @@
 use super::super::nurbs::NurbsSurface;
 use super::super::silhouette::{self, SilhouettePoint};
 use super::super::tensor::GridPlanes;
-use super::model::{Row, add_row, axis};
+use super::grid_sample::{GridSample, axis};
+use super::model::Row;
 use super::{BORDER_WEIGHT, Refiner};
 use nalgebra::Vector3;
 
@@ -68,13 +69,7 @@ impl Refiner<'_> {
     }
 
     /// Border samples project onto the line of their stroke, corners onto the corners.
-    pub(super) fn border_term(
-        &self,
-        planes: &[GridPlanes; 3],
-        weights: &mut [[f64; 6]],
-        slopes: &mut [GridPlanes; 3],
-    ) -> f64 {
-        let mut energy = 0.0;
+    pub(super) fn border_term(&self, planes: &[GridPlanes; 3], grid: &mut [GridSample]) {
         for side in 0..4 {
             let samples = self.side_samples(side);
             let shares = Self::arc_shares(planes, &samples);
@@ -85,9 +80,7 @@ impl Refiner<'_> {
                 if i == 0 {
                     let corner = stroke.points[0];
                     for c in 0..2 {
-                        let residual = p[c] - corner[c];
-                        energy += CORNER_WEIGHT * residual * residual;
-                        add_row(&mut weights[k], slopes, k, axis(c), CORNER_WEIGHT, residual);
+                        grid[k].add(axis(c), CORNER_WEIGHT, p[c] - corner[c]);
                     }
                     continue;
                 }
@@ -101,27 +94,22 @@ impl Refiner<'_> {
                 // Along the stroke the border slides almost freely, past its end too: pulling hard there would bunch up the
                 // samples beside a corner where the outline is smooth.
                 let across = offset[0] * foot.normal[0] + offset[1] * foot.normal[1];
-                energy += weight * across * across;
                 let along = [offset[0] - across * foot.normal[0], offset[1] - across * foot.normal[1]];
                 let direction = Vector3::new(foot.normal[0], foot.normal[1], 0.0);
-                add_row(&mut weights[k], slopes, k, direction, weight, across);
+                grid[k].add(direction, weight, across);
                 // A weak pull to the share of the stroke that the sample had at the start keeps neighbours apart.
                 let place = stroke.at(self.shares[side][i] * length);
                 let sliding = SLIDING_WEIGHT * weight;
                 for c in 0..2 {
-                    let residual = p[c] - place[c];
-                    energy += sliding * residual * residual;
-                    add_row(&mut weights[k], slopes, k, axis(c), sliding, residual);
+                    grid[k].add(axis(c), sliding, p[c] - place[c]);
                 }
                 let beyond = along[0].hypot(along[1]);
                 if beyond > 1e-9 {
-                    energy += BEYOND_WEIGHT * weight * beyond * beyond;
                     let direction = Vector3::new(along[0] / beyond, along[1] / beyond, 0.0);
-                    add_row(&mut weights[k], slopes, k, direction, BEYOND_WEIGHT * weight, beyond);
+                    grid[k].add(direction, BEYOND_WEIGHT * weight, beyond);
                 }
             }
         }
-        energy
     }
 
     /// The silhouette's crossings with the grid lines project onto the contour strokes.
