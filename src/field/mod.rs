@@ -30,8 +30,6 @@ mod smooth;
 mod smoothness;
 mod system;
 #[cfg(test)]
-mod test_picture;
-#[cfg(test)]
 mod test_surfaces;
 mod topology;
 mod trace;

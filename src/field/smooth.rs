@@ -433,43 +433,4 @@ mod tests {
         assert!(field.diagnostics.smoothness_energy < 1e-6);
         assert!(field.diagnostics.crossing_min_deg > 80.0);
     }
-
-    #[test]
-    #[ignore = "prints timings: run it in release"]
-    fn timing() {
-        for seed in 0..8 {
-            let mesh = SurfaceMesh::new(&wavy(seed), [40, 40]).unwrap();
-            let start = std::time::Instant::now();
-            let field = solve(mesh, &[]);
-            let ms = start.elapsed().as_secs_f64() * 1e3;
-            println!("{ms:.1} ms, {} singular, {:?}", field.singularities.len(), {
-                let mut d = field.diagnostics;
-                d.flat_triangles.truncate(3);
-                d
-            });
-        }
-    }
-
-    #[test]
-    #[ignore = "draws to the file named by FIELD_PICTURE"]
-    fn draw_fields() {
-        use crate::field::test_picture::{SIDE, draw};
-        let file = std::env::var("FIELD_PICTURE").unwrap();
-        let mut sheet = tiny_skia::Pixmap::new(4 * SIDE as u32, 2 * SIDE as u32).unwrap();
-        sheet.fill(tiny_skia::Color::WHITE);
-        for seed in 0..8u64 {
-            let mesh = SurfaceMesh::new(&wavy(seed), [40, 40]).unwrap();
-            let mut constraints = vec![];
-            if seed >= 4 {
-                for i in 0..20 {
-                    let triangle = 2 * (40 * (8 + i) + 10 + i / 2) as u32;
-                    let direction = Vector3::new(1.0, 0.5, 0.0);
-                    constraints.push(DirectionConstraint { triangle, direction, weight: 20.0 });
-                }
-            }
-            let field = solve(mesh, &constraints);
-            draw(&mut sheet, [(seed % 4) as f32, (seed / 4) as f32], &field, &constraints);
-        }
-        sheet.save_png(file).unwrap();
-    }
 }
