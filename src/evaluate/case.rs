@@ -160,8 +160,10 @@ fn network_errors(case: &mut Case, networks: &mut Networks, truth: &Sample) -> R
     // Without depth samples the distance to the viewer is free: the mean over the visible pixels decides.
     let mut free = None;
     for (index, layer) in Layer::ALL.into_iter().enumerate() {
-        let Some(predicted) = depths.depths(layer) else { continue };
-        let known: Vec<usize> = (0..pixels).filter(|k| truth.maps.valid[index * pixels + k] > 0).collect();
+        let Some((drawn, predicted)) = depths.layer(layer).zip(depths.depths(layer)) else { continue };
+        // A hand draws a layer a little beside where it is: what it leaves out nothing was predicted for.
+        let known = |k: &usize| truth.maps.valid[index * pixels + k] > 0 && drawn.seen(*k);
+        let known: Vec<usize> = (0..pixels).filter(known).collect();
         let positions: Vec<[f64; 2]> = known.iter().map(|&k| map_position(k / MAP, k % MAP, MAP)).collect();
         let actual: Vec<f64> = known
             .iter()
