@@ -1,10 +1,11 @@
 """Muon for convolutions: momentum whose matrix is made orthogonal before the step (Jordan et al., 2024); AdamW for the rest.
 
-Here a convolution is the matrix (outputs, inputs * k * k). The step has the root mean square of AdamW's, so that one learning rate
+Here a convolution is the matrix (outputs, k * k * inputs). The step has the root mean square of AdamW's, so that one learning rate
 serves both.
 """
 
 import torch
+from torch import distributed
 
 
 def orthogonal(matrix):
@@ -14,27 +15,60 @@ def orthogonal(matrix):
     x = x / (x.norm() + 1e-7)
     for _ in range(5):
         gram = x @ x.T
-        x = 3.4445 * x + (-4.7750 * gram + 2.0315 * gram @ gram) @ x
+        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=-4.7750, alpha=2.0315), x, beta=3.4445)
     return (x if wide else x.T).float()
 
 
+def matrix_of(weight):
+    """The matrix (outputs, k * k * inputs) of a convolution: a view of weights that are stored channels last."""
+    return weight.permute(0, 2, 3, 1).flatten(1)
+
+
 class Muon(torch.optim.Optimizer):
-    """Parameters of two and more dimensions only."""
+    """Weights of convolutions only. Processes that train together share the work, each its part of the matrices."""
 
     def __init__(self, parameters, lr, momentum=0.95, weight_decay=0.01):
         super().__init__(parameters, {"lr": lr, "momentum": momentum, "weight_decay": weight_decay})
 
     @torch.no_grad()
     def step(self):
-        for group in self.param_groups:
-            for weight in group["params"]:
-                state = self.state[weight]
-                momentum = state.setdefault("momentum", torch.zeros_like(weight))
-                momentum.lerp_(weight.grad, 1 - group["momentum"])
-                ahead = weight.grad.lerp(momentum, group["momentum"])
-                step = orthogonal(ahead.flatten(1))
-                weight.mul_(1 - group["lr"] * group["weight_decay"])
-                weight.add_(step.reshape(weight.shape), alpha=-0.2 * group["lr"] * max(step.shape) ** 0.5)
+        weights = [(group, weight) for group in self.param_groups for weight in group["params"]]
+        ahead = []
+        for group, weight in weights:
+            momentum = self.state[weight].setdefault("momentum", torch.zeros_like(weight))
+            momentum.lerp_(weight.grad, 1 - group["momentum"])
+            ahead.append(matrix_of(weight.grad.lerp(momentum, group["momentum"])))
+        for (group, weight), step in zip(weights, shared_orthogonal(ahead)):
+            weight.mul_(1 - group["lr"] * group["weight_decay"])
+            outputs, inputs, height, width = weight.shape
+            kernels = step.view(outputs, height, width, inputs).permute(0, 3, 1, 2)
+            weight.add_(kernels, alpha=-0.2 * group["lr"] * max(step.shape) ** 0.5)
+
+
+def shared_orthogonal(matrices):
+    """`orthogonal` of all matrices, of which each process computes a part."""
+    count = distributed.get_world_size() if distributed.is_initialized() else 1
+    if count == 1:
+        return [orthogonal(matrix) for matrix in matrices]
+    # The largest first, each to the process with the least work so far.
+    work = lambda k: matrices[k].numel() * min(matrices[k].shape)
+    loads, parts = [0] * count, [[] for _ in range(count)]
+    for k in sorted(range(len(matrices)), key=work, reverse=True):
+        least = loads.index(min(loads))
+        loads[least] += work(k)
+        parts[least].append(k)
+    result = [None] * len(matrices)
+    for owner, part in enumerate(parts):
+        if not part:
+            continue
+        if owner == distributed.get_rank():
+            together = torch.cat([orthogonal(matrices[k]).flatten() for k in part])
+        else:
+            together = torch.empty(sum(matrices[k].numel() for k in part), device=matrices[0].device)
+        distributed.broadcast(together, owner)
+        for k, values in zip(part, together.split([matrices[k].numel() for k in part])):
+            result[k] = values.reshape(matrices[k].shape)
+    return result
 
 
 def optimizers(model, rate, weight_decay, shares):
