@@ -3,7 +3,7 @@
 use super::super::layer_map::{EXTRAPOLATED_RINGS, MapSample};
 use super::super::tensor::GridPlanes;
 use super::{NORMAL_WEIGHT, Refiner};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// Parts of the surface that project outside the regions of their orientation, squared distance.
 const OUTSIDE_WEIGHT: f64 = 0.3;
@@ -57,7 +57,7 @@ impl GridSample {
     /// Pulls by `vector` in x, y.
     fn pull(&mut self, vector: [f64; 2], weight: f64) {
         for (c, v) in vector.into_iter().enumerate() {
-            self.add(axis(c), weight, -v);
+            self.add(Vector3::ith(c, 1.0), weight, -v);
         }
     }
 }
@@ -188,8 +188,4 @@ impl Refiner<'_> {
         }
         sample
     }
-}
-
-pub(super) fn axis(c: usize) -> Vector3<f64> {
-    Matrix3::identity().column(c).into_owned()
 }

@@ -3,7 +3,7 @@
 use super::super::nurbs::NurbsSurface;
 use super::super::silhouette::{self, SilhouettePoint};
 use super::super::tensor::GridPlanes;
-use super::grid_sample::{GridSample, axis};
+use super::grid_sample::GridSample;
 use super::model::Row;
 use super::{BORDER_WEIGHT, Refiner};
 use nalgebra::Vector3;
@@ -80,7 +80,7 @@ impl Refiner<'_> {
                 if i == 0 {
                     let corner = stroke.points[0];
                     for c in 0..2 {
-                        grid[k].add(axis(c), CORNER_WEIGHT, p[c] - corner[c]);
+                        grid[k].add(Vector3::ith(c, 1.0), CORNER_WEIGHT, p[c] - corner[c]);
                     }
                     continue;
                 }
@@ -101,7 +101,7 @@ impl Refiner<'_> {
                 let place = stroke.at(self.shares[side][i] * length);
                 let sliding = SLIDING_WEIGHT * weight;
                 for c in 0..2 {
-                    grid[k].add(axis(c), sliding, p[c] - place[c]);
+                    grid[k].add(Vector3::ith(c, 1.0), sliding, p[c] - place[c]);
                 }
                 let beyond = along[0].hypot(along[1]);
                 if beyond > 1e-9 {
