@@ -10,6 +10,8 @@ use crate::error::Error;
 
 /// Smoothness of the second start of a surface that does not obey.
 const SMOOTHER: f64 = 10.0;
+/// Factor on the weights of contours that are still missed after that.
+const INSISTENCE: f64 = 8.0;
 /// Largest mean miss of the contours that stands, pixels of the 256 canvas: what is asked of the strokes.
 const CONTOUR_MISS_PX: f64 = 0.5;
 /// Largest miss of a depth sample that stands, canonical units: a hundredth of the depth range of a usual patch.
@@ -30,7 +32,8 @@ pub fn unfolded_surface(
 }
 
 /// Surface that obeys `targets`: the unfolded maps, or the targets' other guess if that begins with less energy, refined; where it folds
-/// over, or misses contours or depth samples, once more from smoother unfolded maps, and the better of the two.
+/// over, or misses contours or depth samples, once more from smoother unfolded maps, and where the better of the two still misses, once
+/// more from there with contours that count more; the best of all.
 ///
 /// - `curves`: the border in space, made of the targets' border, corners and maps.
 ///
@@ -53,7 +56,14 @@ pub fn fit(
     // Parameter lines that jam in the start seldom come apart; in a smoother one they run more evenly.
     let smoother = unfolded_surface(targets, curves, SMOOTHER)?;
     let again = refiner.run_best(&[smoother], control)?;
-    Ok(if faults(&again.report) < faults(&refined.report) { again } else { refined })
+    let better = |a: Refined, b: Refined| if faults(&b.report) < faults(&a.report) { b } else { a };
+    let refined = better(refined, again);
+    if faults(&refined.report) == (0, 0.0) || targets.contours.is_empty() {
+        return Ok(refined);
+    }
+    refiner.insistence = INSISTENCE;
+    let insistent = refiner.run_best(std::slice::from_ref(&refined.surface), control)?;
+    Ok(better(refined, insistent))
 }
 
 /// Fold-overs, and by how many times what is asked contours and depth samples are missed beyond it.

@@ -171,6 +171,8 @@ pub(super) struct Refiner<'a> {
     stiffness: f64,
     /// Factor on the weight of facing: high where folds remain.
     facing: f64,
+    /// Factor on the weights of the contours.
+    pub(super) insistence: f64,
     /// Fairness plus evenness times stiffness, for x and y, and for z.
     regularity: [[Banded; 2]; 2],
     preconditioner: [FastDiagonal; 2],
@@ -275,6 +277,7 @@ impl<'a> Refiner<'a> {
             guessed: banded(&guessed),
             stiffness: 1.0,
             facing: 1.0,
+            insistence: 1.0,
             regularity: Default::default(),
             evenness: evenness.each_ref().map(banded),
             preconditioner,

@@ -118,7 +118,7 @@ impl Refiner<'_> {
             return 0.0;
         }
         let points = silhouette::crossings(surface, &self.grid, &silhouette::facing(planes));
-        let weight = CONTOUR_WEIGHT / points.len().max(1) as f64;
+        let weight = self.insistence * CONTOUR_WEIGHT / points.len().max(1) as f64;
         let mut energy = 0.0;
         for point in &points {
             let foot = self
@@ -148,7 +148,7 @@ impl Refiner<'_> {
     fn covering_term(&self, points: &[SilhouettePoint], rows: &mut Vec<Row>) -> f64 {
         let pieces = silhouette::pieces(points, &self.grid);
         let places = || self.contours.iter().flat_map(|contour| &contour.places);
-        let weight = COVERING_WEIGHT / places().count().max(1) as f64;
+        let weight = self.insistence * COVERING_WEIGHT / places().count().max(1) as f64;
         let mut energy = 0.0;
         for &p in places() {
             let (nearest, distance) = Self::nearest_piece(p, points, &pieces)

@@ -123,6 +123,23 @@ fn strokes_win_over_maps_that_disagree() {
 }
 
 #[test]
+fn contours_that_count_more_are_met_more_nearly() {
+    let scene = synthetic::scene(synthetic::vault());
+    let mut targets = targets(&scene);
+    // Four pixels from where the maps fold.
+    for p in targets.contours.iter_mut().flatten() {
+        p[1] += 0.14;
+    }
+    let mut refiner = Refiner::new(scene.truth.knots(), &targets, &RefineOptions::default()).unwrap();
+    let mut miss = |insistence: f64| {
+        refiner.insistence = insistence;
+        refiner.run_best(std::slice::from_ref(&scene.truth), &Control::default()).unwrap().report.contour_px[0]
+    };
+    let (usual, insistent) = (miss(1.0), miss(8.0));
+    assert!(usual > 0.1 && insistent < 0.7 * usual, "{usual} {insistent}");
+}
+
+#[test]
 fn depth_samples_are_met_and_act_locally() {
     let scene = synthetic::scene(synthetic::vault());
     let mut targets = targets(&scene);
