@@ -7,11 +7,13 @@ serves both.
 import torch
 from torch import distributed
 
+import precision
+
 
 def orthogonal(matrix):
     """Nearly the nearest matrix with orthonormal rows or columns, by five quintic Newton-Schulz steps."""
     wide = matrix.shape[0] <= matrix.shape[1]
-    x = (matrix if wide else matrix.T).bfloat16()
+    x = (matrix if wide else matrix.T).to(precision.fast(matrix.device.type))
     x = x / (x.norm() + 1e-7)
     for _ in range(5):
         gram = x @ x.T
@@ -51,7 +53,8 @@ def shared_orthogonal(matrices):
     if count == 1:
         return [orthogonal(matrix) for matrix in matrices]
     # The largest first, each to the process with the least work so far.
-    work = lambda k: matrices[k].numel() * min(matrices[k].shape)
+    sizes = [matrix.numel() for matrix in matrices]
+    work = lambda k: sizes[k] * min(matrices[k].shape)
     loads, parts = [0] * count, [[] for _ in range(count)]
     for k in sorted(range(len(matrices)), key=work, reverse=True):
         least = loads.index(min(loads))
@@ -64,9 +67,9 @@ def shared_orthogonal(matrices):
         if owner == distributed.get_rank():
             together = torch.cat([orthogonal(matrices[k]).flatten() for k in part])
         else:
-            together = torch.empty(sum(matrices[k].numel() for k in part), device=matrices[0].device)
+            together = torch.empty(sum(sizes[k] for k in part), device=matrices[0].device)
         distributed.broadcast(together, owner)
-        for k, values in zip(part, together.split([matrices[k].numel() for k in part])):
+        for k, values in zip(part, together.split([sizes[k] for k in part])):
             result[k] = values.reshape(matrices[k].shape)
     return result
 

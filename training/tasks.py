@@ -9,6 +9,7 @@ from torch.nn import functional as F
 import geometry
 import losses
 import nets
+import precision
 from geometry import MAP, POSITIONS
 
 SLOTS = 6
@@ -56,9 +57,10 @@ def split_sides(output, side):
 
 
 def answer(network, inputs, fast):
-    """What a network answers, on the CPU, where the data and the losses are; `fast` computes in bf16."""
+    """What a network answers, on the CPU, where the data and the losses are; `fast` computes in `precision.fast`."""
     device = next(network.parameters()).device
-    with torch.autocast(device.type, torch.bfloat16, enabled=fast):
+    lower = fast and precision.fast(device.type) == torch.bfloat16
+    with torch.autocast(device.type, torch.bfloat16, enabled=lower):
         return network(inputs.to(device, memory_format=torch.channels_last)).float().cpu()
 
 
