@@ -53,7 +53,8 @@ def split_sides(output, side):
     front = (side != 2)[:, None]
     g = torch.where(front[:, 0], output[:, 0], output[:, 1])
     normal = torch.where(front, output[:, 2:5], output[:, 5:8])
-    return g, F.normalize(normal, dim=1, eps=1e-3)
+    # F.normalize takes half of a loss's time over channels.
+    return g, normal / normal.square().sum(1, keepdim=True).clamp_min(1e-6).sqrt()
 
 
 def answer(network, inputs, fast):
