@@ -1,5 +1,6 @@
 """Shards of `sketch2pq generate`, memory-mapped, as batches of float tensors."""
 
+import concurrent.futures
 import json
 import math
 import pathlib
@@ -71,3 +72,19 @@ class Shards:
             "cdf": raw["cdf"].float() / 127,
             "slope": torch.tensor([self.slopes[index] for index in sorted(indices)]),
         }
+
+
+class Reader:
+    """Batches of `Shards`: the one that follows is read from the disk while the current one is learned."""
+
+    def __init__(self, shards):
+        self.shards = shards
+        self.thread = concurrent.futures.ThreadPoolExecutor(1)
+        self.coming = None, None
+
+    def batch(self, indices, following):
+        """The samples of this step; those of the next are asked for, and awaited only if they are what it then wants."""
+        promised, pending = self.coming
+        current = pending.result() if promised == indices else self.shards.batch(indices)
+        self.coming = following, self.thread.submit(self.shards.batch, following)
+        return current

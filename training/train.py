@@ -288,6 +288,7 @@ def main():
         run.save()
         curves(run)
 
+    reader = data.Reader(train)
     while True:
         start = time.monotonic()
         progress = processes.agreed(run.samples / arguments.samples if arguments.samples else run.seconds / (60 * arguments.minutes))
@@ -296,7 +297,8 @@ def main():
         train.refresh()
         pool = train.occluded if run.task.occluded_only else range(len(train))
         pool = pool[: arguments.overfit] if arguments.overfit else pool
-        batch = train.batch(run.order.take(pool, settings["batch"])[processes.rank :: processes.count])
+        mine = lambda order: order.take(pool, settings["batch"])[processes.rank :: processes.count]
+        batch = reader.batch(mine(run.order), mine(copy.copy(run.order)))
         # All dice of a step come from its number, so that a resumed run throws the same.
         generator = torch.Generator().manual_seed(run.steps * processes.count + processes.rank + 11)
         if torch.rand(1, generator=generator) < 0.5 and not arguments.overfit:
@@ -306,7 +308,7 @@ def main():
                 group["lr"] = settings["rate"] * group["share"] * rate_factor(progress)
         recent.append(run.step(run.task.prepare(batch, generator, helpers)))
         run.seconds += time.monotonic() - start
-        if processes.rank == 0 and time.monotonic() - last_validation > 150:
+        if processes.rank == 0 and time.monotonic() - last_validation > 300:
             report()
             last_validation = time.monotonic()
     if processes.rank == 0:
