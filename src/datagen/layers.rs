@@ -54,32 +54,37 @@ impl Layers {
         // Pixel coordinates of every vertex, pixel centres at integers.
         let screen: Vec<[f64; 2]> =
             grid.iter().map(|p| [(p.x + HALF) / size - 0.5, (HALF - p.y) / size - 0.5]).collect();
+        // First and last column and row of pixel centres beyond each vertex: most small triangles hold none, and end there.
+        let beyond = |x: f64| [x.ceil().max(0.0) as i32, x.floor().min(n as f64 - 1.0) as i32];
+        let spans: Vec<[[i32; 2]; 2]> = screen.iter().map(|p| p.map(beyond)).collect();
         for i in 0..m {
             for j in 0..m {
                 for corners in [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]] {
                     let index = corners.map(|(a, b)| (i + a) * (m + 1) + j + b);
+                    let [columns, rows] = [0, 1].map(|axis| {
+                        let [a, b, c] = index.map(|k| spans[k][axis]);
+                        a[0].min(b[0]).min(c[0])..=a[1].max(b[1]).max(c[1])
+                    });
+                    if columns.is_empty() || rows.is_empty() {
+                        continue;
+                    }
                     let [a, b, c] = index.map(|k| screen[k]);
                     // Screen y points down, so that a triangle that faces the viewer has negative area here.
                     let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
                     if area == 0.0 {
                         continue;
                     }
-                    let low = |k: usize| a[k].min(b[k]).min(c[k]).ceil().max(0.0) as usize;
-                    let high = |k: usize| a[k].max(b[k]).max(c[k]).floor().min(n as f64 - 1.0);
-                    let (x_end, y_end) = (high(0), high(1));
-                    if x_end < 0.0 || y_end < 0.0 {
-                        continue;
-                    }
-                    for row in low(1)..=y_end as usize {
-                        for column in low(0)..=x_end as usize {
-                            let p = [column as f64, row as f64];
+                    for row in rows {
+                        for column in columns.clone() {
+                            let p = [f64::from(column), f64::from(row)];
                             let cross = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
                                 (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
                             };
-                            let weight = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
-                            if weight.iter().any(|&w| w < 0.0) {
+                            let parts = [cross(b, c, p), cross(c, a, p), cross(a, b, p)];
+                            if parts.iter().any(|&part| if area > 0.0 { part < 0.0 } else { part > 0.0 }) {
                                 continue;
                             }
+                            let weight = parts.map(|part| part / area);
                             let mix = |f: &dyn Fn(usize) -> f64| (0..3).map(|k| weight[k] * f(k)).sum::<f64>();
                             let hit = Hit {
                                 z: mix(&|k| grid[index[k]].z),
@@ -89,7 +94,7 @@ impl Layers {
                                 ],
                                 front: area < 0.0,
                             };
-                            layers.insert(row * n + column, hit, &mut count);
+                            layers.insert(row as usize * n + column as usize, hit, &mut count);
                         }
                     }
                 }
