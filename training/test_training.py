@@ -1,4 +1,4 @@
-"""Checks of the training program itself: `python -m unittest discover -s training` (about five minutes on two cores).
+"""Checks of the training program itself: `python -m unittest discover -s training` (five to twenty minutes on two cores).
 
 Needs the release build of `sketch2pq`, which makes the few samples.
 """
@@ -36,10 +36,10 @@ class Training(unittest.TestCase):
     def tearDownClass(cls):
         cls.folder.cleanup()
 
-    def train(self, out, *more, launcher=(sys.executable,), network="bsr_net"):
+    def train(self, out, *more, launcher=(sys.executable,), network="bsr_net", threads=1):
         command = [
             *launcher, HERE / "train.py", network, "--data", self.work / "train", "--validation", self.work / "validation",
-            "--threads", "1", "--out", self.work / out, *more,
+            "--threads", threads, "--out", self.work / out, *more,
         ]
         for needed in tasks.TASKS[network].needs:
             command += ["--helper", f"{needed}={HERE.parent / 'models' / needed}.onnx"]
@@ -56,7 +56,7 @@ class Training(unittest.TestCase):
 
     def test_two_processes_learn_as_one_does(self):
         launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-        _, alone = self.train("alone", "--samples", "2560")
+        _, alone = self.train("alone", "--samples", "2560", threads=2)
         _, together = self.train("together", "--samples", "2560", launcher=launcher)
         self.assertEqual(alone[-1]["samples"], together[-1]["samples"])
         scores = [entries[-1]["validation"]["d"] for entries in (alone, together)]
@@ -64,7 +64,7 @@ class Training(unittest.TestCase):
         self.assertLess(max(scores), 0.7 * alone[-1]["validation"]["d_coons"])
 
     def test_32_samples_can_be_learned_by_heart(self):
-        _, entries = self.train("overfit", "--samples", "6400", "--overfit", "32")
+        _, entries = self.train("overfit", "--samples", "6400", "--overfit", "32", threads=2)
         _, begin = self.train("begin", "--samples", "32", "--overfit", "32")
         self.assertLess(entries[-1]["loss"], 0.2 * begin[-1]["loss"])
 
