@@ -28,7 +28,7 @@ POSITIONS = map_positions()
 
 def kernel(p, q):
     """Prior covariance of h between points p (..., n, 2) and q (..., m, 2); of ripples, that of Matern with 3/2."""
-    # By coordinate: sums over a last axis of two take most of a step's time otherwise.
+    # By coordinate: a sum over a last axis of two would take most of the time here.
     square = sum((p[..., :, None, axis] - q[..., None, :, axis]).square() for axis in (0, 1))
     apart = (square * (3 / RIPPLE_LENGTH**2)).sqrt()
     bump = BUMP_SD**2 * torch.exp(square * (-0.5 / BUMP_LENGTH**2))
