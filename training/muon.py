@@ -81,12 +81,15 @@ def shared_orthogonal(matrices):
         least = loads.index(min(loads))
         loads[least] += work(k)
         parts[least].append(k)
+    mine = parts[distributed.get_rank()]
+    # All compute before any sends.
+    computed = [orthogonal(matrices[k]).flatten() for k in mine]
     result = [None] * len(matrices)
     for owner, part in enumerate(parts):
         if not part:
             continue
-        if owner == distributed.get_rank():
-            together = torch.cat([orthogonal(matrices[k]).flatten() for k in part])
+        if part is mine:
+            together = torch.cat(computed)
         else:
             together = torch.empty(sum(sizes[k] for k in part), device=matrices[0].device)
         distributed.broadcast(together, owner)
