@@ -10,6 +10,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+import winograd
+
 MAP = 64
 NET = 30
 
@@ -39,7 +41,7 @@ class Residual(nn.Module):
         nn.init.zeros_(self.second.bias)
 
     def forward(self, x):
-        return x + self.second(F.relu(self.first(F.relu(x))))
+        return winograd.after_relu(self.second, winograd.after_relu(self.first, x), rest=x)
 
 
 class Attention(nn.Module):
@@ -127,7 +129,7 @@ class UNet(nn.Module):
                 x = self.attention[k](x)
         for skip, up, decode in reversed(list(zip(skips, self.up, self.decoder))):
             x = decode(skip + F.interpolate(up(x), scale_factor=2, mode="nearest"))
-        x = self.head(F.relu(x))
+        x = winograd.after_relu(self.head, x)
         if self.folding > 1:
             x = F.pixel_shuffle(x, self.folding)
         return x[:, :, : self.size, : self.size] if extra else x

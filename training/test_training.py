@@ -20,6 +20,7 @@ import export
 import nets
 import tasks
 import train
+import winograd
 
 BINARY = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", HERE.parent / "target")) / "release" / "sketch2pq"
 
@@ -94,6 +95,26 @@ class Training(unittest.TestCase):
             stored = train.initial_weights(self.work / "exported" / f"{name}.onnx", name)
             for key, values in network.state_dict().items():
                 self.assertTrue(torch.allclose(stored[key], values, rtol=1e-3, atol=1e-4), key)
+
+
+class Filtering(unittest.TestCase):
+    def test_minimal_filtering_is_convolution(self):
+        """Values and all gradients agree with PyTorch's convolution, on tiles at all sides of maps and with several samples a block."""
+        for inputs, outputs, size, samples in ((64, 32, 32, 3), (32, 96, 8, 19), (64, 64, 4, 1)):
+            torch.manual_seed(inputs)
+            stored = {"memory_format": torch.channels_last}
+            layer = torch.nn.Conv2d(inputs, outputs, 3, padding=1).to(**stored)
+            maps = torch.randn(samples, inputs, size, size).to(**stored).requires_grad_()
+            rest = torch.randn(samples, outputs, size, size).to(**stored).requires_grad_()
+            weighing = torch.randn(samples, outputs, size, size)
+            results = []
+            for winograd.kernels in (None, winograd.compiled()):
+                answer = winograd.after_relu(layer, maps, rest)
+                results.append([answer, *torch.autograd.grad(answer, [maps, layer.weight, layer.bias, rest], weighing)])
+            winograd.kernels = None
+            for expected, found in zip(*results):
+                self.assertEqual(expected.shape, found.shape)
+                self.assertLess((found - expected).norm(), 2e-5 * expected.norm())
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ import data
 import muon
 import nets
 import tasks
+import winograd
 
 HERE = pathlib.Path(__file__).parent
 
@@ -252,6 +253,7 @@ def main():
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(1)
     processes = Processes()
+    winograd.load()
     config = json.loads((HERE / "config.json").read_text())
     settings = config[arguments.name]
     parts = getattr(tasks.TASKS[arguments.name], "networks", ())
