@@ -5,7 +5,6 @@ There they take half of the time of PyTorch's. Answers differ from its by 1e-6 o
 
 import os
 import pathlib
-import shutil
 import sys
 
 import torch
@@ -17,11 +16,14 @@ kernels = None
 
 
 def load():
-    """Has the kernels used from now on, where they serve and a compiler is there."""
+    """Has the kernels used from now on, where they serve and can be compiled; says so where they cannot."""
     global kernels
-    serves = precision.fast("cpu") == torch.float32 and not torch.cuda.is_available()
-    if serves and shutil.which("c++"):
+    if precision.fast("cpu") == torch.bfloat16 or torch.cuda.is_available():
+        return
+    try:
         kernels = compiled()
+    except (RuntimeError, OSError, ImportError) as error:
+        print(f"winograd.cpp does not compile here, training takes half as long again: {error}", file=sys.stderr)
 
 
 def compiled():
@@ -62,7 +64,7 @@ class Filter(torch.autograd.Function):
 def after_relu(layer, x, rest=None):
     """layer(relu(x)), and + `rest` where given."""
     fits = x.shape[1] % 32 == 0 and layer.out_channels % 32 == 0 and x.shape[2] % 4 == 0 and x.shape[3] % 4 == 0
-    if kernels is not None and fits and x.dtype == torch.float32 and x.device.type == "cpu" and torch.is_grad_enabled():
+    if kernels is not None and fits and x.dtype == torch.float32 and x.device.type == "cpu":
         return Filter.apply(x, layer.weight, layer.bias, rest)
     y = layer(F.relu(x))
     return y if rest is None else rest + y
