@@ -82,7 +82,7 @@ def shared_orthogonal(matrices):
         loads[least] += work(k)
         parts[least].append(k)
     mine = parts[distributed.get_rank()]
-    # All compute before any sends.
+    # Before any waits for another.
     computed = [orthogonal(matrices[k]).flatten() for k in mine]
     result = [None] * len(matrices)
     for owner, part in enumerate(parts):

@@ -121,10 +121,13 @@ void product(const float* a, int64_t row, int64_t along, const float* b, int64_t
         for (int h = 0; h < 2; ++h) store(c + r * c_row + h * LANES, sum[r][h]);
 }
 
-void products(int64_t rows, const float* a, int64_t row, int64_t along, const float* b, int64_t b_along, float* c, int64_t c_row, int64_t k, bool add) {
-    int64_t r = 0;
-    for (; r + 8 <= rows; r += 8) product<8>(a + r * row, row, along, b, b_along, c + r * c_row, c_row, k, add);
-    for (; r < rows; ++r) product<1>(a + r * row, row, along, b, b_along, c + r * c_row, c_row, k, add);
+// C (rows x columns) = A (rows x k) B, or added to what C has; B comes in panels of 32 columns.
+void products(int64_t rows, int64_t columns, int64_t k, const float* a, int64_t row, int64_t along, const float* b, int64_t b_panel, int64_t b_along, float* c, int64_t c_row, bool add) {
+    for (int64_t panel = 0; panel < columns / PANEL; ++panel, b += b_panel, c += PANEL) {
+        int64_t r = 0;
+        for (; r + 8 <= rows; r += 8) product<8>(a + r * row, row, along, b, b_along, c + r * c_row, c_row, k, add);
+        for (; r < rows; ++r) product<1>(a + r * row, row, along, b, b_along, c + r * c_row, c_row, k, add);
+    }
 }
 
 // The distance of planes, and of rows within them, is odd in cache lines: a power of two would put all of a tile into the same few sets.
@@ -164,36 +167,35 @@ torch::Tensor transformed(const float* w, int64_t pixel, int64_t row, int64_t fr
     return result;
 }
 
-// The tiles of `samples` images.
+// The tiles of images of one size.
 struct Grid {
     int64_t height, width, rows, columns;
     Grid(int64_t height, int64_t width) : height(height), width(width), rows(height / TILE), columns(width / TILE) {}
     int64_t tiles() const { return rows * columns; }
     // Samples that are worked on together.
     int64_t together() const { return std::max<int64_t>(1, BLOCK / tiles()); }
-    // Calls with (number of the tile, its sample, its first row and column of the result).
+    // Calls with (number of the tile, its sample, its first row and column of the result, channel), for every LANES-th channel.
     template <class F>
-    void each(int64_t first, int64_t samples, F f) const {
+    void each(int64_t first, int64_t samples, int64_t channels, F f) const {
         for (int64_t s = 0, t = 0; s < samples; ++s)
             for (int64_t i = 0; i < rows; ++i)
-                for (int64_t j = 0; j < columns; ++j, ++t) f(t, first + s, i * TILE, j * TILE);
+                for (int64_t j = 0; j < columns; ++j, ++t)
+                    for (int64_t c = 0; c < channels; c += LANES) f(t, first + s, i * TILE, j * TILE, c);
     }
-    const float* pixel(const float* x, int64_t channels, int64_t s, int64_t i, int64_t j) const { return x + ((s * height + i) * width + j) * channels; }
+    int64_t pixel(int64_t channels, int64_t s, int64_t i, int64_t j) const { return ((s * height + i) * width + j) * channels; }
     bool inside(int64_t i, int64_t j) const { return i >= 0 && j >= 0 && i < height && j < width; }
 };
 
 void fill_v(Planes& v, const Grid& grid, const float* x, int64_t channels, int64_t first, int64_t samples) {
-    grid.each(first, samples, [&](int64_t t, int64_t s, int64_t top, int64_t left) {
-        for (int64_t c = 0; c < channels; c += LANES) {
-            Vec d[6][6], out[6][6];
-            for (int i = 0; i < SEEN; ++i)
-                for (int j = 0; j < SEEN; ++j) {
-                    const int64_t row = top + i - 1, column = left + j - 1;
-                    d[i][j] = grid.inside(row, column) ? positive(load(grid.pixel(x, channels, s, row, column) + c)) : Vec{};
-                }
-            both<ToV, 6, 6>(d, out);
-            v.put(out, t, c);
-        }
+    grid.each(first, samples, channels, [&](int64_t t, int64_t s, int64_t top, int64_t left, int64_t c) {
+        Vec d[6][6], out[6][6];
+        for (int i = 0; i < SEEN; ++i)
+            for (int j = 0; j < SEEN; ++j) {
+                const int64_t row = top + i - 1, column = left + j - 1;
+                d[i][j] = grid.inside(row, column) ? positive(load(x + grid.pixel(channels, s, row, column) + c)) : Vec{};
+            }
+        both<ToV, 6, 6>(d, out);
+        v.put(out, t, c);
     });
 }
 
@@ -225,20 +227,17 @@ torch::Tensor forward(torch::Tensor x, torch::Tensor w, torch::Tensor bias, std:
             const int64_t samples = std::min(grid.together(), end - first), tiles = samples * grid.tiles();
             fill_v(v, grid, from, z.inputs, first, samples);
             for (int64_t p = 0; p < POSITIONS; ++p)
-                for (int64_t panel = 0; panel < z.outputs / PANEL; ++panel)
-                    products(tiles, v.at(p), v.row, 1, u + p * plane + panel * z.inputs * PANEL, PANEL, m.at(p) + panel * PANEL, m.row, z.inputs, false);
-            grid.each(first, samples, [&](int64_t t, int64_t s, int64_t top, int64_t left) {
-                for (int64_t c = 0; c < z.outputs; c += LANES) {
-                    Vec tile[6][6], out[4][4];
-                    m.get(tile, t, c);
-                    both<FromM, 6, 4>(tile, out);
-                    const Vec b = load(shift + c);
-                    for (int i = 0; i < TILE; ++i)
-                        for (int j = 0; j < TILE; ++j) {
-                            const int64_t at = grid.pixel(from, z.outputs, s, top + i, left + j) - from + c;
-                            store(to + at, out[i][j] + b + (kept ? load(kept + at) : Vec{}));
-                        }
-                }
+                products(tiles, z.outputs, z.inputs, v.at(p), v.row, 1, u + p * plane, z.inputs * PANEL, PANEL, m.at(p), m.row, false);
+            grid.each(first, samples, z.outputs, [&](int64_t t, int64_t s, int64_t top, int64_t left, int64_t c) {
+                Vec tile[6][6], out[4][4];
+                m.get(tile, t, c);
+                both<FromM, 6, 4>(tile, out);
+                const Vec b = load(shift + c);
+                for (int i = 0; i < TILE; ++i)
+                    for (int j = 0; j < TILE; ++j) {
+                        const int64_t at = grid.pixel(z.outputs, s, top + i, left + j) + c;
+                        store(to + at, out[i][j] + b + (kept ? load(kept + at) : Vec{}));
+                    }
             });
         }
     });
@@ -268,37 +267,31 @@ std::array<torch::Tensor, 3> backward(torch::Tensor x, torch::Tensor w, torch::T
         for (int64_t first = begin; first < end; first += grid.together()) {
             const int64_t samples = std::min(grid.together(), end - first), tiles = samples * grid.tiles();
             fill_v(v, grid, from, z.inputs, first, samples);
-            grid.each(first, samples, [&](int64_t t, int64_t s, int64_t top, int64_t left) {
-                for (int64_t c = 0; c < z.outputs; c += LANES) {
-                    Vec tile[4][4], out[6][6];
-                    for (int i = 0; i < TILE; ++i)
-                        for (int j = 0; j < TILE; ++j) tile[i][j] = load(grid.pixel(error, z.outputs, s, top + i, left + j) + c);
-                    both<ToM, 4, 6>(tile, out);
-                    m.put(out, t, c);
-                    // The sum of the tile.
-                    store(shift + c, load(shift + c) + out[1][1]);
-                }
+            grid.each(first, samples, z.outputs, [&](int64_t t, int64_t s, int64_t top, int64_t left, int64_t c) {
+                Vec tile[4][4], out[6][6];
+                for (int i = 0; i < TILE; ++i)
+                    for (int j = 0; j < TILE; ++j) tile[i][j] = load(error + grid.pixel(z.outputs, s, top + i, left + j) + c);
+                both<ToM, 4, 6>(tile, out);
+                m.put(out, t, c);
+                // The sum of the tile.
+                store(shift + c, load(shift + c) + out[1][1]);
             });
             for (int64_t p = 0; p < POSITIONS; ++p) {
-                for (int64_t panel = 0; panel < z.inputs / PANEL; ++panel)
-                    products(z.outputs, m.at(p), 1, m.row, v.at(p) + panel * PANEL, v.row, own + p * plane + panel * PANEL, z.inputs, tiles, first > begin);
+                products(z.outputs, z.inputs, tiles, m.at(p), 1, m.row, v.at(p), PANEL, v.row, own + p * plane, z.inputs, first > begin);
                 // V has served, and makes room for its gradient.
-                for (int64_t panel = 0; panel < z.inputs / PANEL; ++panel)
-                    products(tiles, m.at(p), m.row, 1, u + p * plane + panel * z.outputs * PANEL, PANEL, v.at(p) + panel * PANEL, v.row, z.outputs, false);
+                products(tiles, z.inputs, z.outputs, m.at(p), m.row, 1, u + p * plane, z.outputs * PANEL, PANEL, v.at(p), v.row, false);
             }
-            grid.each(first, samples, [&](int64_t t, int64_t s, int64_t top, int64_t left) {
-                for (int64_t c = 0; c < z.inputs; c += LANES) {
-                    Vec tile[6][6], out[6][6];
-                    v.get(tile, t, c);
-                    both<FromV, 6, 6>(tile, out);
-                    for (int i = 0; i < SEEN; ++i)
-                        for (int j = 0; j < SEEN; ++j) {
-                            const int64_t row = top + i - 1, column = left + j - 1;
-                            if (!grid.inside(row, column)) continue;
-                            const int64_t at = grid.pixel(from, z.inputs, s, row, column) - from + c;
-                            store(to + at, load(to + at) + (load(from + at) > 0.0f ? out[i][j] : Vec{}));
-                        }
-                }
+            grid.each(first, samples, z.inputs, [&](int64_t t, int64_t s, int64_t top, int64_t left, int64_t c) {
+                Vec tile[6][6], out[6][6];
+                v.get(tile, t, c);
+                both<FromV, 6, 6>(tile, out);
+                for (int i = 0; i < SEEN; ++i)
+                    for (int j = 0; j < SEEN; ++j) {
+                        const int64_t row = top + i - 1, column = left + j - 1;
+                        if (!grid.inside(row, column)) continue;
+                        const int64_t at = grid.pixel(z.inputs, s, row, column) + c;
+                        store(to + at, load(to + at) + (load(from + at) > 0.0f ? out[i][j] : Vec{}));
+                    }
             });
         }
         parts[at::get_thread_num()] = part;
