@@ -11,6 +11,17 @@ import torch
 NAMES = ("strokes", "valid", "depth", "normal", "control", "cdf")
 
 
+def merged(ranges):
+    """Ranges [first, end) in order, those joined that a few seeds without a sample part."""
+    result = []
+    for first, end in sorted(ranges):
+        if result and first <= result[-1][1] + 8:
+            result[-1][1] = max(result[-1][1], end)
+        else:
+            result.append([first, end])
+    return result
+
+
 class Shards:
     """All finished shards of a folder; more may be added while training runs (call `refresh`)."""
 
@@ -44,13 +55,7 @@ class Shards:
 
     def seeds(self):
         """Ranges [first, end) of the samples' seeds."""
-        ranges = []
-        for seed in sorted(line["seed"] for line in self.meta):
-            if ranges and seed <= ranges[-1][1] + 8:
-                ranges[-1][1] = seed + 1
-            else:
-                ranges.append([seed, seed + 1])
-        return ranges
+        return merged([line["seed"], line["seed"] + 1] for line in self.meta)
 
     def batch(self, indices):
         """The samples with these numbers, as float32 tensors in their natural units."""

@@ -55,6 +55,18 @@ class Training(unittest.TestCase):
         for name, values in whole.items():
             self.assertTrue(torch.equal(values, parts[name]), name)
 
+    def test_a_run_goes_on_from_the_file_it_carries(self):
+        carried = self.work / "carried.pt"
+        self.train("first", "--samples", "640", "--stop-at", "320", "--carry", carried)
+        weights, entries = self.train("second", "--samples", "640", "--stop-at", "320", "--carry", carried)
+        before = torch.load(self.work / "first" / "checkpoint.pt", weights_only=True)
+        for name, values in before["model"].items():
+            self.assertTrue(torch.allclose(weights[name], values, rtol=1e-3, atol=1e-6), name)
+        self.assertEqual(torch.load(self.work / "second" / "checkpoint.pt", weights_only=True)["order"], before["order"])
+        self.assertEqual([entry["samples"] for entry in entries], [320, 320])
+        _, entries = self.train("second", "--samples", "640", "--carry", carried)
+        self.assertEqual(entries[-1]["samples"], 640)
+
     def test_two_processes_learn_as_one_does(self):
         launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
         _, alone = self.train("alone", "--samples", "2560", threads=2)

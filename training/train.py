@@ -3,6 +3,7 @@
 Everything lands in `--out` (default work/runs/NAME): `checkpoint.pt` (resumes by itself), `log.jsonl`, `curves.png`, `run.json`.
 The learning rate (warm-up, then cosine to zero) follows the time spent, so that a slow machine still finishes its schedule,
 or with `--samples` the samples seen; then a run that was stopped and resumed gives the same weights as one that was not.
+`--carry FILE` keeps a small file of a long run's state beside it, from which the run goes on where its folder is gone.
 
 On several machines or GPUs: `torchrun --nproc-per-node 2 training/train.py ...`. The batch of the configuration is that of all
 processes together; each draws its part of it.
@@ -112,6 +113,13 @@ class Processes:
         return shared.item()
 
 
+def store(state, path):
+    """Writes a file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(state, path.with_suffix(".tmp"))
+    path.with_suffix(".tmp").replace(path)
+
+
 class Order:
     """Which samples come next: each epoch once all of the pool, shuffled by its number alone."""
 
@@ -123,8 +131,8 @@ class Order:
         return numpy.random.default_rng([13, self.epoch]).permutation(self.size)
 
     def take(self, pool, count):
-        """The next `count` of the pool; samples that joined the pool since take part from the next epoch on."""
-        if self.position + count > self.size:
+        """The next `count` of the pool; samples that joined it since take part from the next epoch on, which a smaller pool begins."""
+        if self.position + count > self.size or self.size > len(pool):
             self.epoch, self.position, self.size = self.epoch + 1, 0, len(pool)
             self.shuffled = self.shuffle()
         chosen = self.shuffled[self.position : self.position + count]
@@ -136,43 +144,50 @@ class Order:
 
 
 class Run:
-    """A network, its moving average, the optimizers, and where they are stored."""
+    """A network, its moving average, the optimizers, and where they are stored.
 
-    def __init__(self, name, out, settings, initial, ema, processes):
+    `carried` is the file that takes a run from one working folder to another: weights in half precision, no momentum, no average.
+    """
+
+    def __init__(self, name, out, settings, initial, carried, ema, processes):
         self.task = tasks.TASKS[name]
         self.out = pathlib.Path(out)
         self.out.mkdir(parents=True, exist_ok=True)
         self.settings = settings
+        self.carried = carried and pathlib.Path(carried)
         self.decay = ema
         self.processes = processes
         self.device = processes.device
         self.model = self.task.network().to(self.device, memory_format=torch.channels_last)
         self.optimizers = muon.optimizers(self.model, settings["rate"], settings["weight_decay"], settings.get("rate_shares", {}))
-        self.steps, self.samples, self.seconds, self.log, self.order = 0, 0, 0.0, [], Order()
-        if (self.out / "checkpoint.pt").exists():
-            stored = torch.load(self.out / "checkpoint.pt", weights_only=False, map_location=self.device)
+        self.steps, self.samples, self.seconds, self.log, self.order, self.seeds = 0, 0, 0.0, [], Order(), []
+        kept = [path for path in (self.out / "checkpoint.pt", self.carried) if path and path.exists()]
+        if kept:
+            stored = torch.load(kept[0], weights_only=True, map_location=self.device)
             self.model.load_state_dict(stored["model"])
-            for optimizer, state in zip(self.optimizers, stored["optimizers"]):
+            for optimizer, state in zip(self.optimizers, stored.get("optimizers", [])):
                 optimizer.load_state_dict(state)
-            self.steps, self.samples, self.seconds, self.log = (stored[key] for key in ("steps", "samples", "seconds", "log"))
+            self.steps, self.samples, self.seconds = (stored[key] for key in ("steps", "samples", "seconds"))
+            self.log, self.seeds = stored["log"], stored["seeds"]
             self.order = Order(*stored["order"])
-            self.average = copy.deepcopy(self.model)
+        elif initial:
+            self.model.load_state_dict(initial_weights(initial, name))
+        self.average = copy.deepcopy(self.model)
+        if kept and "average" in stored:
             self.average.load_state_dict(stored["average"])
-        else:
-            if initial:
-                self.model.load_state_dict(initial_weights(initial, name))
-            self.average = copy.deepcopy(self.model)
         self.parallel = processes.wrapped(self.model)
 
     def save(self):
-        state = {
-            "model": self.model.state_dict(), "average": self.average.state_dict(),
-            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
-            "steps": self.steps, "samples": self.samples, "seconds": self.seconds, "log": self.log, "order": self.order.state(),
+        place = {
+            "steps": self.steps, "samples": self.samples, "seconds": self.seconds, "log": self.log, "seeds": self.seeds,
+            "order": self.order.state(),
         }
-        torch.save(state, self.out / "checkpoint.tmp")
-        (self.out / "checkpoint.tmp").replace(self.out / "checkpoint.pt")
-        torch.save(self.average.state_dict(), self.out / "weights.pt")
+        model = self.model.state_dict()
+        optimizers = [optimizer.state_dict() for optimizer in self.optimizers]
+        store({"model": model, "average": self.average.state_dict(), "optimizers": optimizers, **place}, self.out / "checkpoint.pt")
+        store(self.average.state_dict(), self.out / "weights.pt")
+        if self.carried:
+            store({"model": {key: value.half() for key, value in model.items()}, **place}, self.carried)
 
     def step(self, prepared):
         loss, terms = self.task.loss(self.task.answer(self.parallel, prepared, fast=True), prepared, self.settings["loss"])
@@ -243,6 +258,7 @@ def main():
     parser.add_argument("--stop-at", type=int, help="stop there, in samples seen; the same command without it goes on")
     parser.add_argument("--out", help="working folder, default work/runs/NAME")
     parser.add_argument("--initial", help="weights to start from when there is no checkpoint")
+    parser.add_argument("--carry", help="small file of the run's state: written too, and read where there is no checkpoint")
     parser.add_argument("--seen-before", type=int, default=0, help="samples that those weights had seen, for the record")
     parser.add_argument("--helper", action="append", default=[], help="NAME=weights.pt of a network this one builds on")
     parser.add_argument("--threads", type=int, default=2)
@@ -264,7 +280,7 @@ def main():
     if settings["batch"] % processes.count:
         parser.error(f"the batch of {settings['batch']} cannot be shared by {processes.count} processes")
     out = arguments.out or f"work/runs/{arguments.name}"
-    run = Run(arguments.name, out, settings, arguments.initial, config["ema"], processes)
+    run = Run(arguments.name, out, settings, arguments.initial, arguments.carry, config["ema"], processes)
     helpers = {}
     for entry in arguments.helper:
         name, path = entry.split("=", 1)
@@ -286,9 +302,9 @@ def main():
             entry.update({key: average([r[key] for r in recent]) for key in recent[0]})
             recent.clear()
         run.log.append(entry)
-        with open(run.out / "log.jsonl", "a") as file:
-            file.write(json.dumps(entry) + "\n")
+        (run.out / "log.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in run.log))
         print(json.dumps(entry), flush=True)
+        run.seeds = data.merged(run.seeds + train.seeds())
         run.save()
         curves(run)
 
@@ -320,8 +336,8 @@ def main():
         commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True).stdout.strip()
         record = {
             "network": arguments.name, "commit": commit, "config": settings, "samples_seen": arguments.seen_before + run.samples, "seen_before": arguments.seen_before,
-            "seconds": round(run.seconds), "training_samples": len(train),
-            "training_seeds": train.seeds(), "initial": arguments.initial, "scores": run.log[-1]["validation"],
+            "seconds": round(run.seconds), "training_samples": sum(end - first for first, end in run.seeds),
+            "training_seeds": run.seeds, "initial": arguments.initial, "scores": run.log[-1]["validation"],
         }
         (run.out / "run.json").write_text(json.dumps(record, indent=2) + "\n")
     if processes.count > 1:
